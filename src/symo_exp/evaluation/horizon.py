@@ -30,6 +30,7 @@ from symo_exp.mechanics.roots import Sizes
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
+from symo_exp.optim.robust import median_of_rows
 
 HORIZONS = (0.5, 1.0, 2.0)
 """Times up to which errors are measured [s]; the last is the length of a window."""
@@ -352,5 +353,4 @@ def steps_in(seconds: float, time_step: float) -> int:
 
 def median(values: Tensor) -> float:
     """Return the median, the mean of the two in the middle where their number is even."""
-    ordered = values.double().sort().values
-    return (0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])).item()
+    return median_of_rows(values.double()).item()

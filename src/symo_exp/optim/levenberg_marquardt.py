@@ -16,7 +16,7 @@ from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
-from symo_exp.optim.robust import median, weights_beyond
+from symo_exp.optim.robust import median_of_rows, weights_beyond
 
 FALLS = 0.9
 """Ratio of training losses between two held-out losses below which the loss counts as falling."""
@@ -145,7 +145,7 @@ class LevenbergMarquardt(EpochOptimizer):
         if self.huber is None:
             return DampedSystem(residuals, jacobians), None
         length = residuals.view(len(samples.q), -1).norm(dim=1)
-        factors = weights_beyond(self.huber * median(length), length).sqrt()
+        factors = weights_beyond(self.huber * median_of_rows(length), length).sqrt()
         factors = factors.repeat_interleave(per_sample)
         for jacobian, part in zip(
             jacobians, factors.split([len(j) for j in jacobians]), strict=True

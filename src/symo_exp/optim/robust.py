@@ -25,7 +25,7 @@ def huber_weights(errors: Float[Tensor, "*batch n"], factor: float) -> Float[Ten
             times the median of ``|e|``.
     """
     size = errors.abs()
-    scale = NORMAL * median(size.flatten(0, -2))
+    scale = NORMAL * median_of_rows(size.flatten(0, -2))
     return weights_beyond(factor * scale, size)
 
 
@@ -35,6 +35,6 @@ def weights_beyond(threshold: Tensor, size: Float[Tensor, "*batch"]) -> Float[Te
     return threshold / size.maximum(threshold)
 
 
-def median(x: Float[Tensor, "count ..."]) -> Float[Tensor, " ..."]:
+def median_of_rows(x: Float[Tensor, "count ..."]) -> Float[Tensor, " ..."]:
     """Return the median over the rows; ``torch.median`` has the lower one of an even number."""
     return 0.5 * (x.median(0).values - (-x).median(0).values)
