@@ -345,6 +345,29 @@ def test_the_log_says_the_same_of_angles_that_jump_by_a_turn(degrees: bool, tmp_
     assert found.lines() == expected.lines()
 
 
+@pytest.mark.parametrize("fold", [None, [0, 3], [1, 3]])
+def test_a_rest_where_an_angle_jumps_by_a_turn_is_a_rest(fold, tmp_path: Path) -> None:
+    t = H * np.arange(600)
+    moving = (t > 15.0) & (t < 45.0)
+    q = np.pi + np.where(moving, np.sin(2 * (t - 15.0)) * (45.0 - t) / 30.0, 0.0)
+    plain = pd.DataFrame({"t": t, "q_arm": np.random.default_rng(0).normal(q, 1e-4)})
+    if fold is not None:  # one recording moves and two are at rest
+        t = H * np.arange(300)
+        parts = [plain[:150], plain[150:450], plain[450:], plain[150:450], plain[150:450]]
+        parts = [x.assign(trajectory=k, t=t[: len(x)]) for k, x in enumerate(parts)]
+        plain = pd.concat(parts)
+        plain["q_arm"] += 1e-3 * plain.trajectory
+    jumping = plain.assign(q_arm=(plain.q_arm + np.pi) % (2 * np.pi) - np.pi)
+    assert (np.abs(jumping.q_arm.diff()) > np.pi).sum() > 100
+    expected = read(plain, tmp_path, fold=fold)
+    found = read(jumping, tmp_path, fold=fold, wrapped=True)
+    for part in ("train", "val", "test"):
+        pairs = zip(found.trajectories(part), expected.trajectories(part), strict=True)
+        for one, other in pairs:
+            torch.testing.assert_close(one.q.cos(), other.q.cos())
+            torch.testing.assert_close(one.v, other.v)
+
+
 def test_the_log_reports_unused_data_and_resampling(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -754,6 +754,22 @@ def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
             examine({"path": "mine.csv", "degrees": False})
 
 
+@pytest.mark.parametrize("factor", [1.0, 180.0 / np.pi])
+def test_rests_where_an_angle_jumps_by_a_turn_are_left_out(factor, workplace):
+    t = 0.01 * np.arange(4000)
+    moving = (t > 10.0) & (t < 30.0)
+    q = np.pi + np.where(moving, np.sin(2 * (t - 10.0)) * (30.0 - t) / 20.0, 0.0)
+    q = np.random.default_rng(0).normal(q, 1e-4)
+    pd.DataFrame({"t": t, "q_1": q}).to_csv("plain.csv", index=False)
+    angle = factor * ((q + np.pi) % (2 * np.pi) - np.pi)
+    pd.DataFrame({"t": t, "q_1": angle}).to_csv("jumping.csv", index=False)
+    plain, found = examine({"path": "plain.csv"}, angular="all"), examine({"path": "jumping.csv"})
+    assert found.seconds == pytest.approx(plain.seconds) == pytest.approx(0.8 * 20.0, abs=3.0)
+    assert found.coordinates == plain.coordinates
+    assert set(plain.notes) < set(found.notes)
+    assert any("s at rest are left out" in note for note in found.notes)
+
+
 @pytest.mark.parametrize(
     ("hertz", "noise"), [(1.0, 1e-3), (5.0, 0.0), (20.0, 1e-3), (300.0, 0.0), (300.0, 1e-3)]
 )

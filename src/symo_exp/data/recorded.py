@@ -173,6 +173,8 @@ class RecordedData(DataModule):
         lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
         # before they are cut: pieces continue the inputs before them
         recordings: Sequence[Recording] = [acting_late(x, delay, lag) for x in table.recordings]
+        refuse_counts(where, coordinates, recordings, degrees)
+        recordings = continuous(recordings, coordinates, degrees=degrees, wrapped=wrapped)
         if leave_out is not None:
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
@@ -192,11 +194,8 @@ class RecordedData(DataModule):
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
-        refuse_counts(where, coordinates, list(itertools.chain(*parts.values())), degrees)
-        parts = {
-            name: [_in_radians(where, one, coordinates, degrees, wrapped) for one in part]
-            for name, part in parts.items()
-        }
+        if not wrapped:
+            refuse_turns(where, list(itertools.chain(*parts.values())), coordinates)
         self._coordinates = coordinates
         found = {
             name: [_trajectory(where, one, coordinates, h) for one in part]
@@ -260,20 +259,6 @@ def _cut_at_gaps(where: str, parts: Parts, h: float) -> tuple[Parts, list[str]]:
         if not part:
             raise ConfigError(f"{where}: nothing is left for {name}; {'; '.join(gaps)}")
     return pieces, gaps
-
-
-def _in_radians(
-    where: str, recording: Recording, coordinates: Coordinates, degrees: bool, wrapped: bool
-) -> Recording:
-    """Return a recording whose angles are in radians and go on beyond a turn.
-
-    Raises:
-        ConfigError: If angles jump that are not said to be wrapped.
-    """
-    samples = continuous(recording.samples, coordinates, degrees=degrees, wrapped=wrapped)
-    if not wrapped:
-        refuse_turns(f"{where}: {titled(recording.label)}", samples, coordinates)
-    return recording._replace(samples=samples)
 
 
 def _trajectory(where: str, recording: Recording, coordinates: Coordinates, h: float) -> Trajectory:

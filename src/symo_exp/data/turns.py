@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from symo_exp.data.paths import titled
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
@@ -19,16 +20,26 @@ UNIT = 1e-3
 
 
 def continuous(
-    samples: Samples, coordinates: Coordinates, *, degrees: bool, wrapped: bool
-) -> Samples:
-    """Return samples, with quaternions, whose angles are in radians and go on beyond a turn.
+    recordings: Sequence[Recording], coordinates: Coordinates, *, degrees: bool, wrapped: bool
+) -> list[Recording]:
+    """Return recordings, with quaternions, whose angles are in radians and go on beyond a turn.
 
     Args:
-        samples: The samples as recorded.
+        recordings: The recordings as they are in a table, before they are divided: an angle at rest
+            may jump from sample to sample.
         coordinates: Those of the machine.
         degrees: Whether angles and their velocities are in degrees.
         wrapped: Whether angles jump by a turn.
     """
+    how = {"degrees": degrees, "wrapped": wrapped}
+    return [
+        one._replace(samples=_continuous(one.samples, coordinates, **how)) for one in recordings
+    ]
+
+
+def _continuous(
+    samples: Samples, coordinates: Coordinates, *, degrees: bool, wrapped: bool
+) -> Samples:
     angular, q, v = _angles(samples, coordinates), samples.q, samples.v
     if degrees:
         q = q * np.where(angular, np.pi / 180, 1.0)
@@ -59,17 +70,22 @@ def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
     return samples._replace(q=coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy())
 
 
-def refuse_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
+def refuse_turns(where: str, recordings: Sequence[Recording], coordinates: Coordinates) -> None:
     """Refuse angles that jump.
 
     Args:
         where: The beginning of the message.
-        samples: The samples, angles in radians.
+        recordings: All that are used, angles in radians.
         coordinates: Those of the machine.
 
     Raises:
         ConfigError: If an angle changes by more than half a turn from one step to the next.
     """
+    for one in recordings:
+        _refuse_turns(f"{where}: {titled(one.label)}", one.samples, coordinates)
+
+
+def _refuse_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
     bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
     jumps = _angles(samples, coordinates) & (bends > np.pi)
     if jumps.any():
@@ -93,13 +109,13 @@ def refuse_counts(
     Args:
         where: The beginning of the message.
         coordinates: Those of the machine.
-        recordings: All that are used.
+        recordings: All of a table, or those that are used.
         degrees: Whether angles are known to be in degrees.
 
     Raises:
         ConfigError: If any angle has more than ``FEW_NUMBERS`` values, all of them whole.
     """
-    if degrees:
+    if degrees or not recordings:
         return
     for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
         if not angular:

@@ -149,10 +149,14 @@ def turn_settings(
 
 
 def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
-    """Return whether steps that change by more than half a turn do by nearly a whole one."""
+    """Return whether steps that change by more than half a turn do by nearly a whole one.
+
+    From a jump to one back, as of an angle that rests where it jumps, they change by two.
+    """
     steps = np.concatenate([np.abs(np.diff(x, 2)) for x in columns])
     jumps = steps[steps > 0.5 * turn]
-    return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
+    whole = turn * np.where(jumps > 1.5 * turn, 2.0, 1.0)
+    return bool(jumps.size and (np.abs(jumps - whole) < WHOLE * turn).all())
 
 
 def ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:

@@ -171,11 +171,12 @@ class _Examination:
     def machine(self) -> Machine:
         """Take all steps and return the machine."""
         self._name_rotations_and_inputs()
-        self.notes += self._read_parts(self.time_step)
-        self._tell_rest()
+        self._read_parts(self.time_step)
         self._tell_angles()
         self._ask_for_matrix()
         self._read_units()
+        self.notes += self._read_parts(self.time_step, self.space)  # rests depend on the units
+        self._tell_rest()
         remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
         self.notes += remarks.on_coordinates()
         self.notes += remarks.on_idle_inputs() if self.known is None else ()
@@ -269,8 +270,11 @@ class _Examination:
         self.input_matrix = found
         self.settings.append(matrix_setting(found))
 
-    def _read_parts(self, time_step: float | None) -> list[str]:
-        """Read ``used`` and ``test``, and return lines on them."""
+    def _read_parts(self, time_step: float | None, space: Coordinates | None = None) -> list[str]:
+        """Read ``used`` and ``test``, and return lines on them.
+
+        With the coordinates ``space``, angles are in radians and continuous, otherwise as recorded.
+        """
         data = self.data
         everything = [[1.0] * len(self.inputs) for _ in self._alone("none").coordinates.names]
         system = self._system("none", everything)  # to read them, it does not matter
@@ -280,6 +284,8 @@ class _Examination:
         self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
         # until it is chosen, the time step is as small as samples allow
         step = time_step or max((one.samples.step for one in recordings), default=STEPS[0])
+        if space is not None:
+            recordings = self._continuous(recordings, space)
         if data.get("leave_out") is not None:
             recordings = without(recordings, data["leave_out"], step)
         counts = data.get("n_val"), data.get("n_test")
@@ -330,7 +336,7 @@ class _Examination:
             raise ConfigError("; ".join([str(error), *remarks.on_circles()])) from error
 
     def _read_units(self) -> None:
-        """Infer whether angles are in degrees and wrapped; make them continuous, in radians.
+        """Infer whether angles are in degrees and wrapped.
 
         Units and angles that are open are refused where another reading explains far more.
         """
@@ -351,18 +357,16 @@ class _Examination:
             self.settings += settings
             self.notes.append(f"angles jump by a turn: read with {' '.join(settings)}")
             self.data |= dict.fromkeys(units, True)
-        self.used = self._continuous()
+        found = self._continuous(self.used, self.space)
         if self._is_open("degrees") and not self.rotations:
-            ask_for_degrees(self.used, self.space)
+            ask_for_degrees(found, self.space)
         if self.angular is None and not self.rotations:
-            ask_for_angles(self.used, self.space)
+            ask_for_angles(found, self.space)
 
-    def _continuous(self) -> list[Recording]:
-        """Return ``used`` with angles in radians that go on beyond a turn."""
+    def _continuous(self, recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
+        """Return recordings with angles in radians that go on beyond a turn."""
         how = {name: bool(self.data.get(name)) for name in ("degrees", "wrapped")}
-        return [
-            one._replace(samples=continuous(one.samples, self.space, **how)) for one in self.used
-        ]
+        return continuous(recordings, space, **how)
 
     def _is_open(self, name: str) -> bool:
         """Return whether a setting of data has no value yet."""
@@ -456,8 +460,7 @@ class _Examination:
 
     def _read_again(self, time_step: float, note: str) -> None:
         """Read ``used`` without what is left out; the note says why nothing may be left."""
-        self._read_parts(time_step)
-        self.used = self._continuous()
+        self._read_parts(time_step, self.space)
         self.used, _ = uninterrupted(self._near(), time_step)
         if not self.used:
             raise self._nothing_left(note)
