@@ -399,6 +399,21 @@ def test_the_time_constant_with_which_a_force_follows_its_input_is_found(lag, lo
     assert "data.input_delay" not in settings
 
 
+@pytest.mark.parametrize(("delay", "lag"), [(0.3, 0.0), (-0.2, 0.0), (0.0, 1.5), (0.3, 0.1)])
+def test_inputs_act_as_they_are_given_where_anything_is_inferred_of_them(delay, lag, workplace):
+    """Their direction, and the inertia, also where neither would be found."""
+    frame, shift = driven(lag), round(delay / 0.005)
+    frame["u_theta"] = frame.u_theta.shift(-shift)
+    frame.dropna().to_csv("mine.csv", index=False)
+    given = {"input_delay": delay or None, "input_lag": lag or None}
+    found = examine({"path": "mine.csv"} | given)
+    settings = dict(setting.split("=") for setting in found.settings)
+    assert not {"system.input_matrix", "data.input_delay", "data.input_lag"} & set(settings)
+    assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
+    assert not found.delay
+    assert found.explained > 0.99
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_input_that_acts_in_the_other_direction_is_told_and_turned(sign, workplace):
     """Whatever its inertia, a machine accelerates in the direction of a force."""

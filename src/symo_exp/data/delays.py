@@ -3,11 +3,35 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
+from symo_exp.checks import real
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
+
+LONGEST_LAG = 1e9
+"""Time constant of inputs at most [s]: beyond it their slopes overflow."""
+
+
+def acting_as_given(
+    recordings: Sequence[Recording], delay: float | None, lag: float | None
+) -> list[Recording]:
+    """Return recordings whose inputs act as ``data.input_delay`` and ``data.input_lag`` say.
+
+    Args:
+        recordings: Whole ones: pieces continue the inputs before them.
+        delay: From the record of an input to its force [s]; ``None``: 0.
+        lag: Time constant with which the force follows the input [s]; ``None``: 0.
+
+    Raises:
+        ConfigError: If no input is left, or the setting is no number.
+    """
+    longest = max((one.samples.seconds for one in recordings), default=0.0)
+    delay = real("data.input_delay", delay or 0.0, low=-longest, high=longest)
+    lag = real("data.input_lag", lag or 0.0, low=0.0, high=LONGEST_LAG)
+    return [acting_late(one, delay, lag) for one in recordings]
 
 
 def acting_late(recording: Recording, delay: float = 0.0, lag: float = 0.0) -> Recording:

@@ -16,7 +16,7 @@ from typing_extensions import Unpack, override
 from symo_exp.checks import real, whole_number
 from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
-from symo_exp.data.delays import acting_late
+from symo_exp.data.delays import acting_as_given
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.header import header
@@ -36,8 +36,6 @@ from symo_exp.words import counted
 
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
-LONGEST_LAG = 1e9
-"""Time constant of inputs at most [s]: beyond it their slopes overflow."""
 BATCHES = 8
 """In an epoch, unless their size is given."""
 
@@ -168,11 +166,7 @@ class RecordedData(DataModule):
         whole_number("data.n_integration", n_integration)
         where, coordinates, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
-        longest = max((one.samples.seconds for one in table.recordings), default=0.0)
-        delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
-        lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
-        # before they are cut: pieces continue the inputs before them
-        recordings: Sequence[Recording] = [acting_late(x, delay, lag) for x in table.recordings]
+        recordings: Sequence[Recording] = acting_as_given(table.recordings, input_delay, input_lag)
         refuse_counts(where, coordinates, recordings, degrees)
         recordings = continuous(recordings, coordinates, degrees=degrees, wrapped=wrapped)
         if leave_out is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +46,7 @@ def dynamics(
     *,
     scale: Mapping[str, float],
     known: bool,
+    acting: Collection[str] = (),
 ) -> Dynamics:
     """Return the dynamics that recordings show.
 
@@ -56,6 +57,7 @@ def dynamics(
         input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
         scale: Units of parameters that are given, by name.
         known: Whether the equations are known, in SI units and with values to start from.
+        acting: Those of ``ACTING`` that are given, so that the inputs of the recordings act so.
     """
     recordings = first_seconds(recordings, max(EXAMINED, NODES * time_step))
     rotations = coordinates.space.normalised  # whose entries are fitted one by one
@@ -64,14 +66,14 @@ def dynamics(
         for one, nodes, q in at_nodes(recordings, time_step)
     ]
     driven = input_matrix is not None
-    acting = timing(motions, coordinates, time_step, driven=driven, known=known)
-    sizes = initial_sizes(acting, coordinates, time_step, input_matrix, scale=scale, known=known)
-    settings, notes = [*acting.settings, *sizes.settings], [*sizes.notes]
+    shown = timing(motions, coordinates, time_step, driven=driven, known=known, given=acting)
+    sizes = initial_sizes(shown, coordinates, time_step, input_matrix, scale=scale, known=known)
+    settings, notes = [*shown.settings, *sizes.settings], [*sizes.notes]
     if not known:
-        pairs = with_inputs(acting.motions, time_step, acting.delay)
+        pairs = with_inputs(shown.motions, time_step, shown.delay)
         notes += told_reversed(pairs, coordinates, time_step, input_matrix)
-    delay = acting.delay if acting.clear else 0.0
-    late = [acting_late(one, lag=acting.lag) for one in recordings] if acting.lag else recordings
+    delay = shown.delay if shown.clear else 0.0
+    late = [acting_late(one, lag=shown.lag) for one in recordings] if shown.lag else recordings
     horizons = suitable_horizons(growth_of_errors(late, coordinates, time_step, delay))
     if horizons != HORIZONS:
         times = ", ".join(f"{each:g}" for each in horizons)
@@ -81,11 +83,11 @@ def dynamics(
         )
     lists = {
         "settings": tuple(settings),
-        "notes": (*notes, *acting.notes) if driven else tuple(notes),
+        "notes": (*notes, *shown.notes) if driven else tuple(notes),
     }
     return Dynamics(
         **vars(sizes) | lists,
-        delay=None if acting.clear else acting.delay,
-        explained=acting.explained,
+        delay=None if shown.clear else shown.delay,
+        explained=shown.explained,
         horizon=horizons[-1],
     )

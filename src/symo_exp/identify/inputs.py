@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,8 @@ from symo_exp.data.table import Recording
 from symo_exp.identify.sampled import EXAMINED, NODES, Sampled, at_nodes, first_seconds, with_inputs
 from symo_exp.mechanics.types import Coordinates
 
+ACTING = "input_delay", "input_lag"
+"""Settings of data that say when inputs act."""
 DELAYS = np.arange(-4, 7) / 100
 """Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
 LAGS = tuple(
@@ -75,6 +77,7 @@ def timing(
     *,
     driven: bool,
     known: bool,
+    given: Collection[str] = (),
 ) -> Timing:
     """Return when the inputs of motions at nodes act.
 
@@ -84,15 +87,17 @@ def timing(
         h: Distance of the nodes [s].
         driven: Whether there are inputs.
         known: Whether the equations are known: a delay is then never that of all candidates.
+        given: Those of ``ACTING`` that are given, so that the inputs of the motions act so.
     """
-    delays = DELAYS * min(1.0, h / UNHURRIED) if driven else np.zeros(1)
+    delay_given, lag_given = (name in given for name in ACTING)
+    delays = DELAYS * min(1.0, h / UNHURRIED) if driven and not delay_given else np.zeros(1)
     left = _best(delays, lambda delay: _unexplained(motions, coordinates, h, delay))
     lag = 0.0
-    if driven and left:
+    if driven and left and not lag_given:
         best, with_lag = _lag(motions, coordinates, h)
         if with_lag <= (1.0 - CLEAR) * min(left.values()):
             lag, motions, left = best, _lagging(motions, best), {0.0: with_lag}
-    delay, note = _delay(left)
+    delay, note = _delay(left, given=delay_given)
     inputs = [one.samples.u for one, _, _ in motions]
     vary = not inputs or bool(np.ptp(np.concatenate(inputs), axis=0).any())
     if not vary:
@@ -112,7 +117,7 @@ def timing(
     )
 
 
-def _delay(left: Mapping[float, float]) -> tuple[float, str]:
+def _delay(left: Mapping[float, float], *, given: bool) -> tuple[float, str]:
     """Return the delay with which inputs explain most, if it is much, and a line about it."""
     if 0.0 not in left:
         return 0.0, "inputs: too little motion to tell their delay"
@@ -122,7 +127,8 @@ def _delay(left: Mapping[float, float]) -> tuple[float, str]:
             f"inputs: with a delay of {1e3 * best:g} ms, {100 * left[best]:.2g} % of the "
             f"accelerations' power is not explained, without {100 * left[0.0]:.2g} %"
         )
-    return 0.0, f"inputs: no delay; {100 * (1 - left[0.0]):.3g} % of the power is explained"
+    told = "the given delay" if given else "no delay"
+    return 0.0, f"inputs: {told}; {100 * (1 - left[0.0]):.3g} % of the power is explained"
 
 
 def _lag(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from symo_exp.data.delays import acting_as_given
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.header import header
 from symo_exp.data.naming import names, unit_of
@@ -29,7 +30,7 @@ from symo_exp.identify.angles import (
     turn_settings,
 )
 from symo_exp.identify.dynamics import Dynamics, dynamics
-from symo_exp.identify.inputs import reversed_inputs
+from symo_exp.identify.inputs import ACTING, reversed_inputs
 from symo_exp.identify.left_out import REASONS, Stretch
 from symo_exp.identify.pace import STEPS, fitting_time_step
 from symo_exp.identify.remarks import Remarks
@@ -113,7 +114,8 @@ def examine(
     """Read recordings and infer what is not given.
 
     Args:
-        data: Settings of ``RecordedData``, those of files, columns, units and parts.
+        data: Settings of ``RecordedData``, those of files, columns, units, parts and when inputs
+            act.
         angular: As ``system.angular``; ``None``: by names and ranges.
         input_matrix: As ``system.input_matrix``; ``None``: by names.
         time_step: As ``system.time_step``; ``None``: by the fastest motion.
@@ -188,7 +190,10 @@ class _Examination:
         driven = any(bool(one.samples.u.any()) for one in self.used)
         matrix = self._direct_inputs(time_step) if driven else None
         known = self.known is not None
-        shown_by = dynamics(self.used, self.space, time_step, matrix, scale=self.scale, known=known)
+        shown_by = dynamics(
+            self.used, self.space, time_step, matrix,
+            scale=self.scale, known=known, acting=[x for x in ACTING if not self._is_open(x)],
+        )  # fmt: skip
         lists = {
             "settings": (*self.settings, *shown_by.settings),
             "notes": (*self.notes, *shown_by.notes),
@@ -280,7 +285,8 @@ class _Examination:
         system = self._system("none", everything)  # to read them, it does not matter
         table = read_recordings(data["path"], system, self.columns, data.get("time_unit"))
         named = {part: data.get(part) for part in PARTS}
-        recordings: Sequence[Recording] = table.recordings
+        acting = (data.get(name) for name in ACTING)
+        recordings: Sequence[Recording] = acting_as_given(table.recordings, *acting)
         self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
         # until it is chosen, the time step is as small as samples allow
         step = time_step or max((one.samples.step for one in recordings), default=STEPS[0])

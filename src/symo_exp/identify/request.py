@@ -17,9 +17,11 @@ from symo_exp.systems.recorded import scale_of
 
 FILES = [
     "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
-    "leave_out",
+    "leave_out", "input_delay", "input_lag",
 ]  # fmt: skip
 """Settings of data that say where recordings are and how they are read."""
+INFERRED = {"wrapped", "degrees", "input_delay", "input_lag"}
+"""Those whose defaults stand for nothing: they are inferred where they are not given."""
 
 NEEDED = {
     "data": ("data.wrapped", "learns from recordings"),
@@ -70,8 +72,8 @@ class Request:
             known is None and not OmegaConf.is_missing(system, "time_step")
         )
         read = {name: plain_value(data.get(name)) for name in FILES}
-        for name in {"wrapped", "degrees"} - {key.removeprefix("data.") for key in self._given}:
-            read[name] = None  # to be inferred
+        for name in INFERRED - {key.removeprefix("data.") for key in self._given}:
+            read[name] = None
         return examine(
             read,
             angular=plain_value(system.get("angular")),
