@@ -5,6 +5,7 @@ import io
 import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -380,11 +381,20 @@ def test_a_run_from_the_beginning_has_the_same_numbers_and_a_time_of_its_own(aga
     assert 0.0 < folder.outcome().seconds < hour
 
 
-def test_the_time_of_a_run_is_that_of_all_its_starts(again):
+def test_the_time_of_a_run_is_that_of_all_its_starts_without_that_of_waiting(again, monkeypatch):
     folder = RunFolder(again)
     before, hour = folder.outcome().seconds, 3600.0
     folder.record("interrupted", "interrupted by SIGINT", hour)
+    waiting, alone, now = [], RunFolder.alone, time.perf_counter
+
+    def alone_after_an_hour(self):
+        waiting.append(hour)
+        return alone(self)
+
+    monkeypatch.setattr(RunFolder, "alone", alone_after_an_hour)
+    monkeypatch.setattr(time, "perf_counter", lambda: now() + sum(waiting))
     assert main(ONE) == 0
+    assert waiting
     assert folder.outcome().status == "finished"
     assert before + hour < folder.outcome().seconds < 2 * hour
 

@@ -149,10 +149,10 @@ def changed_recordings(
 
 def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | None:
     """Do what is left of the run and return what ended it early, if anything did."""
-    start = time.perf_counter()
     tracker: Any = None
     time_is_up = False
     with stopping.urgent(), folder.alone():
+        start = time.perf_counter()  # of the work: another process may have held the lock for long
         trained = folder.outcome().status == "finished"
         restarts = hydras.sweeper._target_.startswith(READS_FOLDERS)
         refusal = changed_recordings(settings.values, folder, restarts=restarts)
