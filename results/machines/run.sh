@@ -10,6 +10,6 @@ for file in "$@"; do
     reference=none
     [ -f "conf/reference/$machine.yaml" ] && reference=$machine
     python -m symo_exp -cn machine data.path="$file" reference="$reference" budget="$budget" seed="$seed" \
-      experiment="machines/$machine/$seed" logger=none ${SETTINGS:-}
+      experiment="machines/$machine/$seed" logger=none ${SETTINGS:-} || [ $? -eq 1 ] # no model
   done
 done

@@ -1,6 +1,7 @@
 """``python -m symo_exp``: one run, or a sweep of runs; ``record`` makes recordings.
 
-Exit codes: 0 all done, 1 a run failed, 2 bad input, 130 and 143 interrupted and terminated.
+Exit codes: 0 all done, 1 a run failed or a search found no model, 2 bad input, 130 and 143
+interrupted and terminated.
 PyTorch and the like take seconds to import, so they are imported where they are needed.
 """
 

@@ -86,14 +86,16 @@ def test_the_true_system_is_a_reference_in_the_recorded_coordinates(number):
     assert found.numpy() @ away.T == pytest.approx(absolute)
 
 
-def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth():
+@pytest.mark.parametrize("code", [0, 1])
+def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth(code):
+    """Also of tables whose searches ended with 0 whatever their verdicts."""
     rows = [
         (3, 0, "good", 2.0, 9.0, 1.0), (4, 1, "", np.nan, np.nan, np.nan),
-        (5, 0, "no model; not usable", 6.0, 5.0, 1.5),
+        (5, code, "no model; not usable", 6.0, 5.0, 1.5), (6, 1, "no model", *[np.nan] * 3),
     ]  # fmt: skip
     errors = ["rmse_0.5s", "constant_velocity_rmse_0.5s", "true_rmse_0.5s"]
     said = summary(pd.DataFrame(rows, columns=["machine", "code", "verdict", *errors]))
-    assert said.startswith('2 of 3 machines have a verdict, 1 of them "no model"')
+    assert said.startswith('2 of 4 machines have a verdict, 1 of them "no model"')
     assert "at 0.5 s: machine 5\n" in said
     assert said.endswith("median 3, largest 4 (machine 5), 2 (machine 3)")
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from symo_exp.evaluation.verdict import verdict
+from symo_exp.identify.answer import Answer
 from symo_exp.identify.doubts import doubts, hopeless, missed
 from symo_exp.identify.recordings import Machine
 from symo_exp.mechanics.types import Coordinates
@@ -55,6 +56,15 @@ def test_a_model_without_hope_is_hardly_better_than_constant_velocity_anywhere(e
     measures = {f"rmse_{t}": x for t, x in zip(names, errors, strict=False)}
     measures |= {f"constant_velocity_rmse_{t}": 1.0 for t in names}
     assert hopeless(measures) is expected
+
+
+@pytest.mark.parametrize(("error", "code"), [(0.1, 0), (0.6, 1), (3.0, 1), (math.inf, 1)])
+def test_the_exit_code_says_whether_there_is_a_model(error, code, tmp_path, capsys):
+    measures = {f"rmse_{t}": error for t in ("0.5s", "1s", "2s")}
+    measures |= {f"constant_velocity_{name}": 1.0 for name in measures}
+    measures |= {"windows": 4.0, "usable_s": 0.0, "window_s": 2.0}
+    assert Answer(tmp_path, SOUND, 3).judge(measures, 1e-3, tmp_path) == code
+    assert capsys.readouterr().out.startswith("verdict on the test part: no model") == bool(code)
 
 
 @pytest.mark.parametrize(

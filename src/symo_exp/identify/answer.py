@@ -62,8 +62,10 @@ class Answer:
         self._tell(doubts(self._machine))
         return 1
 
-    def judge(self, measures: Mapping[str, float], error: float, model: Path) -> None:
-        """Print the verdict on a model, from its measures on the test part.
+    def judge(self, measures: Mapping[str, float], error: float, model: Path) -> int:
+        """Print the verdict on a model, from its measures on the test part; return the exit code.
+
+        It is 0 for a model that may be used, and 1 if the verdict is "no model".
 
         Args:
             measures: Those of the model.
@@ -85,6 +87,7 @@ class Answer:
             reasons = [*missed(self._machine, error, self._unit_of_held_out)]
             self._tell([*doubts(self._machine), *reasons] if failed or beside is None else reasons)
         print(f'the model: symo_exp.load("{os.path.relpath(model)}")')
+        return int(failed)
 
     @staticmethod
     def _tell(reasons: Iterable[str]) -> None:

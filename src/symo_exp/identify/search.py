@@ -121,7 +121,7 @@ class Search:
             return answer.give_up()
         code = self._conclude(fits, rounds.trials, best, answer)
         tried = {trial.candidate.name for trial in rounds.trials}
-        if code == 0 and (untried := [c.name for c in others if c.name not in tried]):
+        if untried := [c.name for c in others if c.name not in tried]:
             print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return code
 
@@ -147,8 +147,7 @@ class Search:
             print(f"the last fit with the least noise of {len(last)} is kept")
         if (done := len(read(folder / SERIES))) < epochs:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
-        answer.judge(folder.measures(), noise_of_fit(folder), answer.link(folder))
-        return 0
+        return answer.judge(folder.measures(), noise_of_fit(folder), answer.link(folder))
 
     def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
         """Return the given settings that replace those of candidates."""
