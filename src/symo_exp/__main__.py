@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Sequence
 
 from symo_exp.errors import ConfigError, debugging, first_line
-from symo_exp.process import stopping
+from symo_exp.process import readers, stopping
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,4 +64,5 @@ def _execute(argv: list[str]) -> int:
 if __name__ == "__main__":
     from symo_exp.__main__ import main as main_by_name  # so that worker processes find its parts
 
+    readers.outlive()
     sys.exit(main_by_name())
