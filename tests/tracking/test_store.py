@@ -123,7 +123,19 @@ def test_a_foreign_file_is_not_touched(tmp_path):
 def test_a_store_of_a_newer_mlflow_is_refused(store):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")
-    with pytest.raises(ConfigError, match="cannot be opened"):
+    with pytest.raises(ConfigError, match="cannot be opened") as caught:
+        connect(store)
+    told = str(caught.value)
+    assert f"mlflow db upgrade {store}" in told
+    assert told.endswith(stores.NEW_STORE)
+    assert len(told) < 600
+
+
+def test_a_damaged_store_is_refused_with_what_to_do(store):
+    content = store.database.read_bytes()
+    store.database.write_bytes(content[:20000] + bytes(len(content) - 20000))
+    connect.cache_clear()
+    with pytest.raises(ConfigError, match=r"cannot be opened: .*malformed; or give logger\.dir"):
         connect(store)
 
 

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 MEND = "correct logger.tracking_uri or MLFLOW_TRACKING_URI, or set neither for a local SQLite store"
+NEW_STORE = (
+    "logger.directory=NAME for a new store, to which the commands of finished runs upload them "
+    "again"
+)
 PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
 LOCK_SECONDS = 300.0
 UNUSED = "0"
@@ -191,10 +195,17 @@ def connect(store: Store) -> MlflowClient:
     except ConfigError:
         raise
     except Exception as error:  # of MLflow or of the database
+        told = f"tracking store {store} cannot be opened: {_reason(error, store)}"
         away = is_away(error) if store.database is None else "is locked" in str(error)
-        kind = AwayError if away else ConfigError
-        raise kind(f"tracking store {store} cannot be opened: {first_line(error)}") from error
+        if away or store.database is None:
+            raise (AwayError if away else ConfigError)(told) from error
+        raise ConfigError(f"{told}; or give {NEW_STORE}") from error
     return client
+
+
+def _reason(error: Exception, store: Store) -> str:
+    """Return what MLflow or a database says, of another version with the command for this store."""
+    return first_line(error).partition(" NOTE: ")[0].replace("<database_uri>", str(store))
 
 
 def connect_existing(store: Store, mend: str) -> MlflowClient:
@@ -247,8 +258,7 @@ def experiment_id(store: Store, name: str) -> str:
     if _was_moved(store, Path(str(found.artifact_location))):
         raise ConfigError(
             f"{store} was moved here, and MLflow would write files to {found.artifact_location}: "
-            "move it back, or give logger.directory=NAME for a new store, to which the commands of "
-            "finished runs upload them again"
+            f"move it back, or give {NEW_STORE}"
         )
     return str(found.experiment_id)
 
