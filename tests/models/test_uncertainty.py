@@ -21,8 +21,8 @@ from tests.models.methods import flows, make, make_small, pairwise
 STATE = torch.tensor([0.3]).double(), torch.tensor([0.1]).double()
 
 
-def with_posterior(size, *, directions=3, error=None):
-    model = make("symo", "midpoint", 1)
+def with_posterior(size, *, directions=3, error=None, method="symo", integrator="midpoint"):
+    model = make(method, integrator, 1)
     mean = torch.cat([p.detach().flatten() for p in model.parameters()])
     generator = torch.Generator().manual_seed(1)
     drawn = torch.randn(len(mean), directions, generator=generator, dtype=torch.float64)
@@ -126,6 +126,16 @@ def test_an_error_goes_on_growing_beyond_its_last_node():
 
 def test_a_normal_variable_is_in_its_interval():
     assert quantile(0.9) == pytest.approx(1.6449, abs=1e-4)
+
+
+def test_an_interval_is_infinite_where_a_motion_diverges():
+    model = with_posterior(1e-5, method="l_node", integrator="rk4")
+    q, v = torch.full((2, 1), 0.3).double(), torch.tensor([[0.1], [1e25]]).double()
+    assert not model.rollout(q, v, steps=4).q[1].isfinite().all()
+    lower, upper = model.rollout_interval(q, v, steps=4)
+    assert (upper - lower)[0].isfinite().all()
+    assert (lower[1, 1:] == -torch.inf).all()
+    assert (upper[1, 1:] == torch.inf).all()
 
 
 def test_an_interval_is_infinite_after_a_root_that_is_not_found():

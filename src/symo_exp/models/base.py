@@ -164,7 +164,7 @@ class DynamicsModel(nn.Module):
 
         Returns:
             ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state; infinite after a
-            step whose root is not found.
+            step whose root is not found or whose result is not finite.
         """
         if self.flow.space.rotations:
             raise ConfigError(

@@ -120,8 +120,9 @@ def interval(
     start = q.double(), v.double(), u.double()
     middle, _, converged = mean.rollout(*start)
     width = quantile(level) * variance(mean, posterior, *start, middle).sqrt()
-    lost = (~converged).cumsum(1) > 0
+    lost = (~(converged & middle[:, 1:].isfinite().all(2))).cumsum(1) > 0
     width[:, 1:] = width[:, 1:].masked_fill(lost.unsqueeze(2), torch.inf)
+    middle = middle.where(middle.isfinite(), 0.0)
     return Interval((middle - width).to(q), (middle + width).to(q))
 
 
