@@ -89,6 +89,17 @@ def test_not_a_number_is_a_failure(name):
     assert not root.converged[1]
 
 
+def test_a_steep_secant_far_from_a_root_is_no_root():
+    """From 0 the first step ends at a pole at 1, and the secant there returns to 0."""
+
+    def function(x, index):
+        return x / ((1.0 - x).abs() + 1e-20) - 1.0
+
+    root = FINDERS["broyden"].solve(Problem(function), torch.zeros(1, 1, dtype=torch.float64))
+    assert root.evaluation.residual.abs().item() > 0.5
+    assert not root.converged.item()
+
+
 def test_a_row_without_a_root_does_not_slow_the_others():
     def function(x, index):
         return torch.where((index == 0).unsqueeze(1), x.square() + 1.0, x.exp() - 2.0)

@@ -48,6 +48,8 @@ class RootPoint(Point, Protocol):
 STALLED = 1e4
 """Multiple of the accuracy within which a row that no step improves is a root: where inertias
 differ by many orders, rounding leaves no more."""
+SECANT = 10.0
+"""Bound on Newton's step over that of rounding where the step by secants is lost in it."""
 Sizes = tuple[float, ...] | None
 """Units of coordinates [m; 1 of angles], which numbers near zero are relative to; ``None``: 1."""
 P = TypeVar("P", bound=Point)
@@ -373,7 +375,8 @@ class Broyden(RootFinder):
     """Broyden's method: Newton's Jacobian at the start, then rank-one secant updates.
 
     ``J⁺ = J + (Δg − J Δx) Δxᵀ / ‖Δx‖²`` (Broyden 1965). It converges superlinearly and evaluates
-    one Jacobian in all. A row whose step is lost in rounding has also converged.
+    one Jacobian in all. A row whose step is lost in rounding has also converged if Newton's step
+    there is about as small: far from a root secants may be steep.
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √n`` of a row.
@@ -387,7 +390,11 @@ class Broyden(RootFinder):
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
         rule: SecantSteps[R] = SecantSteps(self.bounds)
         x, at, state = iterate(problem, x, rule, self.max_iterations)
-        converged = (state.norm <= self.tolerance) | state.settled
+        converged = state.norm <= self.tolerance
+        index = (state.settled & ~converged).nonzero().squeeze(-1)
+        if len(index) > 0:
+            step = newton_step(at.rows(index))
+            converged[index] = self.bounds.settled(x[index], step / SECANT)
         return Root(x, converged, state.iterations, at)
 
 
