@@ -19,7 +19,7 @@ from symo_exp.systems.base import System
 WINDING = 1e-3
 """Change of a potential with a whole turn, relative to its range, that springs on angles cause."""
 ROUNDING = 1e-6
-"""Differences of potentials, relative to their size, below which they are constant."""
+"""Differences of potentials and forces, relative to their size, that are due to rounding."""
 
 
 def unlearned_forces(model: DynamicsModel, system: System) -> Iterator[str]:
@@ -31,16 +31,33 @@ def unlearned_forces(model: DynamicsModel, system: System) -> Iterator[str]:
             "the system loses energy and dissipation=none learns no friction: "
             "give dissipation=viscous, friction or drag"
         )
-    springs = any(isinstance(module, LinearSprings) for module in model.modules())
-    if springs or system.lagrangian is None:
+    if system.lagrangian is None:
         return
-    q, *_ = system.points(8, seed=0)
+    q, _, u = system.points(8, seed=0)
+    own = _by_matrix(system.lagrangian, system, q, u)
+    if _by_matrix(model.lagrangian, system, q, u) and not own:
+        yield (
+            "the system has a method input_force, and the model learns with the constant input "
+            "matrix: give lagrangian=known or model=node"
+        )
+    if any(isinstance(module, LinearSprings) for module in model.modules()):
+        return
     winds = [_winds(x, system.coordinates, q) for x in (system.lagrangian, model.lagrangian)]
     if winds == [True, False]:
         yield (
             "the system has springs on angles, and models that are periodic in angles learn none: "
             "give springs=linear"
         )
+
+
+@torch.no_grad()
+def _by_matrix(
+    lagrangian: Lagrangian, system: System, q: Float[Tensor, "batch N"], u: Float[Tensor, "batch m"]
+) -> bool:
+    """Return whether the forces of inputs are those of the input matrix of the coordinates."""
+    given = [x.to(torch.get_default_dtype()) for x in (system.input_matrix, q, u)]
+    found, plain = (x.input_force(*given) for x in (lagrangian, system.coordinates))
+    return bool((found - plain).abs().max() <= ROUNDING * plain.abs().max())
 
 
 @torch.no_grad()
