@@ -58,6 +58,21 @@ def test_files_and_headings_that_a_page_links_to_exist(page):
         assert not anchor or anchor in anchors(linked), link
 
 
+def test_what_code_of_a_page_imports_is_in_the_reference():
+    texts = [page.read_text(encoding="utf-8") for page in DOCS.glob("*.md")]
+    lines = [
+        line
+        for text in texts
+        for code in pages.blocks(text, "python")
+        for line in code.splitlines()
+    ]
+    imports = [re.fullmatch(r"from (symo_exp\S*) import (.*)", line) for line in lines]
+    used = {f"{x[1]}.{name}" for x in imports if x for name in x[2].split(", ")}
+    reference = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    assert used
+    assert used - set(re.findall(r"^\.\. auto\w+:: (\S+)", reference, flags=re.M)) == set()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=pages.relative)
 def test_formulas_have_only_forms_that_the_site_draws(page):
     """Docutils puts an index under an accented letter, and a power at the second bar of a norm."""
