@@ -122,7 +122,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
             group = contenders(system, method)
             for rows in plan.batches if "step" in plan.measures else ():
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
-                if plan.compiled:  # a compiled graph belongs to one shape
+                if plan.compiled:  # a graph may belong to one number of rows
                     group["compiled"], step["compiled"] = compiled(system, method), step["project"]
                 yield from measure("step", system, method, rows, {}, step)
             group.pop("compiled", None)

@@ -112,6 +112,26 @@ def test_of_equal_runs_a_table_has_the_last_one(table, runs, tmp_path, monkeypat
     assert found[measure].dropna().tolist() == [0.25]
 
 
+def test_a_search_without_a_model_replaces_an_earlier_one_in_the_table(tmp_path, monkeypatch):
+    machines = ROOT / "results" / "machines"
+    script = shutil.copy(machines / "table.py", tmp_path)
+    before = pd.read_csv(shutil.copy(machines / "runs.csv", tmp_path))
+    earlier = before.iloc[0]
+    folder = tmp_path / "outputs" / earlier.machine / str(earlier.seed)
+    folder.mkdir(parents=True)
+    plan = {"budget": 60.0, "cores": 2, "folds": 3}
+    (folder / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    table = "candidate,chosen,error,ended_by_the_clock,failed\nrigid links,0,nan,0,diverged\n"
+    (folder / "candidates.csv").write_text(table, encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["table.py", str(tmp_path / "outputs")])
+    runpy.run_path(script, run_name="__main__")
+    after = pd.read_csv(tmp_path / "runs.csv")
+    assert len(after) == len(before)
+    same = after[(after.machine == earlier.machine) & (after.seed == earlier.seed)]
+    assert same.verdict.tolist() == ["no model"]
+    assert same.filter(like="rmse").isna().all(axis=None)
+
+
 @pytest.mark.parametrize(("there", "taken"), [(1, 1), (10, 10), (400, 300)])
 def test_the_makers_equations_are_refitted_to_different_windows(there, taken):
     script = runpy.run_path(str(ROOT / "results" / "hardware" / "refit.py"))

@@ -3,7 +3,8 @@
     python results/machines/table.py outputs/machines > results/machines/table.md
 
 Reads the last fits of ``outputs/machines/MACHINE/SEED``, whose numbers it keeps in ``runs.csv``
-beside this file in place of earlier ones. Without an argument it reads ``runs.csv`` alone.
+beside this file in place of earlier ones, also where a search has no model. Without an argument it
+reads ``runs.csv`` alone.
 """
 
 import json
@@ -18,38 +19,38 @@ from symo_exp.runs.folder import RunFolder
 HERE = Path(__file__).parent
 HORIZONS = ("0.5s", "1s", "2s")
 ERRORS = [f"rmse_{t}" for t in HORIZONS]
+COVERAGES = [f"coverage_90_{t}" for t in HORIZONS]
 OTHERS = {"": "test", "reference_": "makers", "constant_velocity_": "constant velocity"}
 
 
 def searches(outputs: Path) -> pd.DataFrame:
     """A row a search: its budget, its choice, and the errors of the last fit on the test part."""
     rows = []
-    for plan in sorted(outputs.glob("*/*/plan.json")):
-        folder = plan.parent
-        if not (folder / "best" / "metrics.json").exists():
-            continue
-        given, found = json.loads(plan.read_text()), RunFolder(folder / "best").measures()
-        candidates = pd.read_csv(folder / "candidates.csv")
-        chosen = candidates[candidates.chosen == 1].iloc[0]
+    for file in sorted(outputs.glob("*/*/candidates.csv")):
+        folder, candidates = file.parent, pd.read_csv(file)
+        given = json.loads((folder / "plan.json").read_text())
+        chosen = next(iter(candidates[candidates.chosen == 1].to_dict("records")), {})
+        found = RunFolder(folder / "best").measures() if chosen else {}
+        measures = ["open_loop_rmse", "pooled_rmse_2s", *COVERAGES]
+        measures += [f"{who}{error}" for who in OTHERS for error in ERRORS]
         rows.append(
             {
                 "machine": folder.parent.name, "seed": int(folder.name),
                 "budget": given["budget"], "cores": given["cores"],
                 "candidates": len(candidates), "failed": int(candidates.failed.notna().sum()),
                 "ended_by_the_clock": int((candidates.ended_by_the_clock > 0).sum()),
-                "folds": given["folds"], "chosen": chosen.candidate, "fold_error": chosen.error,
-                "verdict": verdict(found),
-                "open_loop_rmse": found.get("open_loop_rmse"),
-                "pooled_rmse_2s": found.get("pooled_rmse_2s"),
-                **{f"{who}{e}": found.get(f"{who}{e}") for who in OTHERS for e in ERRORS},
+                "folds": given["folds"],
+                "chosen": chosen.get("candidate"), "fold_error": chosen.get("error"),
+                "verdict": verdict(found) if found else "no model",
+                **{name: found.get(name) for name in measures},
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def told(row: pd.Series, prefix: str) -> str:
-    """The errors to 0.5, 1 and 2 s in a cell."""
-    values = [row.get(f"{prefix}{error}") for error in ERRORS]
+def told(row: pd.Series, *names: str) -> str:
+    """Values in a cell, a dash if there are none."""
+    values = [row.get(name) for name in names]
     return "–" if pd.isna(values).all() else " / ".join(f"{x:.2g}" for x in values)
 
 
@@ -65,8 +66,10 @@ def main(arguments: list[str]) -> None:
     print("|---|--:|--:|---|---|---|---|--:|---|")
     for _, row in table.sort_values(["machine", "seed"]).iterrows():
         cells = [
-            row.machine, row.seed, f"{row.budget:g} s, {row.cores} core(s)", row.chosen,
-            *(told(row, prefix) for prefix in OTHERS), f"{row.open_loop_rmse:.2g}", row.verdict,
+            row.machine, row.seed, f"{row.budget:g} s, {row.cores} core(s)",
+            "–" if pd.isna(row.chosen) else row.chosen,
+            *(told(row, *(f"{prefix}{error}" for error in ERRORS)) for prefix in OTHERS),
+            told(row, "open_loop_rmse"), row.verdict,
         ]  # fmt: skip
         print("| " + " | ".join(map(str, cells)) + " |")
 

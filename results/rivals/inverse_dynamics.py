@@ -235,8 +235,9 @@ if __name__ == "__main__":
             print(
                 f"  {name}, {cutoff:g} Hz, {settings}: val {found.mean():.4f} ({shown})", flush=True
             )
-            if best is None or found.mean() < best[0]:
-                best = float(found.mean()), cutoff, settings
+            error = float(found.mean().nan_to_num(torch.inf))  # not the best, even as the first
+            if best is None or error < best[0]:
+                best = error, cutoff, settings
         assert best is not None
         error, cutoff, settings = best
         cells = [name, f"{error:.4f}", f"{cutoff:g} Hz, {settings}"]
