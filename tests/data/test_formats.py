@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ import torch
 
 from symo_exp.data.advice import as_setting
 from symo_exp.data.arrays import from_arrays
+from symo_exp.data.bags import joint_states
 from symo_exp.data.formats import table_of
 from symo_exp.data.parts import without
 from symo_exp.data.paths import files
@@ -759,6 +761,32 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
     motion().to_parquet(tmp_path / "plain.parquet", index=False)
     expected, found = load(tmp_path / "plain.parquet"), load(tmp_path / "bag")
     torch.testing.assert_close(found.train.q, expected.train.q, rtol=1e-9, atol=1e-7)
+
+
+def joint_state(t: float, **position: float) -> SimpleNamespace:
+    """A message as rosbags reads it."""
+    stamp = SimpleNamespace(sec=int(t), nanosec=round(t % 1 * 1e9))
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp), name=list(position),
+        position=np.array([*position.values()]), velocity=np.array([]), effort=np.array([]),
+    )  # fmt: skip
+
+
+def test_joint_states_have_their_joints_in_any_order_and_some_have_not_all() -> None:
+    states = [
+        joint_state(5.0, arm=9.0),
+        joint_state(5.25, arm=1.0, hand=2.0),
+        joint_state(5.5, hand=4.0, arm=3.0),
+    ]
+    found = joint_states(Path("bag"), states)
+    expected = {"t": [0.0, 0.25], "q_arm": [1.0, 3.0], "q_hand": [2.0, 4.0]}
+    assert found.to_dict("list") == expected
+
+
+def test_joint_states_of_two_publishers_are_refused() -> None:
+    states = [joint_state(0.0, hand=1.0), joint_state(0.1, arm=2.0), joint_state(0.2, arm=3.0)]
+    with pytest.raises(ConfigError, match=r"several publishers; its messages have arm \(2\); hand"):
+        joint_states(Path("bag"), states)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -49,18 +50,37 @@ def bag_table(file: Path) -> pd.DataFrame:
     except Exception as error:  # the library has many
         reason = shortened(error, 200)
         raise ConfigError(f"data.path={file}: cannot be read as a ROS bag ({reason})") from error
-    return _joint_states(file, messages)
+    return joint_states(file, messages)
 
 
-def _joint_states(file: Path, messages: Sequence[Any]) -> pd.DataFrame:
+def joint_states(file: Path, messages: Sequence[Any]) -> pd.DataFrame:
+    """Return the messages of a topic of joint states, those that lack some of the joints left out.
+
+    Args:
+        file: The bag, for the error.
+        messages: The messages, whose joints may be in any order.
+
+    Raises:
+        ConfigError: If there is no message, or none has all joints, as those of two publishers.
+    """
     if not messages:
         raise ConfigError(f"data.path={file}: the bag has no joint states")
-    joints = list(messages[0].name)
-    whole = [message for message in messages if list(message.name) == joints]
+    counts = Counter(frozenset(message.name) for message in messages)
+    every = frozenset().union(*counts)
+    if every not in counts:
+        told = "; ".join(f"{few(sorted(part))} ({count})" for part, count in counts.most_common(3))
+        raise ConfigError(
+            f"data.path={file}: no joint state has all joints, as from several publishers; its "
+            f"messages have {told}; save the signals as a table of columns t, q_<name>, u_<name>"
+        )
+    whole = [message for message in messages if every == set(message.name)]
+    joints = list(whole[0].name)
+    orders = [[list(message.name).index(name) for name in joints] for message in whole]
     stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in whole])
     columns: dict[str, np.ndarray] = {"t": (stamps - stamps[0]) * 1e-9}
     for kind, field in (("q", "position"), ("v", "velocity"), ("u", "effort")):
-        if all(len(getattr(message, field)) == len(joints) for message in whole):
-            values = np.array([getattr(message, field) for message in whole])
+        rows = [getattr(message, field) for message in whole]
+        if all(len(row) == len(joints) for row in rows):
+            values = np.array([np.asarray(x)[order] for x, order in zip(rows, orders, strict=True)])
             columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(joints)}
     return pd.DataFrame(columns)
