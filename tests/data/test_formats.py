@@ -18,7 +18,8 @@ import torch
 from symo_exp.data.advice import as_setting
 from symo_exp.data.arrays import from_arrays
 from symo_exp.data.bags import joint_states
-from symo_exp.data.formats import table_of
+from symo_exp.data.elements import check_elements
+from symo_exp.data.formats import readable, table_of
 from symo_exp.data.parts import without
 from symo_exp.data.paths import files
 from symo_exp.data.recorded import RecordedData, recorded_system
@@ -761,6 +762,35 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
     motion().to_parquet(tmp_path / "plain.parquet", index=False)
     expected, found = load(tmp_path / "plain.parquet"), load(tmp_path / "bag")
     torch.testing.assert_close(found.train.q, expected.train.q, rtol=1e-9, atol=1e-7)
+
+
+def matlab_file(**arrays: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, arrays)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kept", [140, 190, 250])
+def test_a_matlab_file_that_is_cut_off_is_refused(kept: int, tmp_path: Path) -> None:
+    (tmp_path / "x.mat").write_bytes(matlab_file(t=np.arange(4.0), q=np.arange(4.0))[:kept])
+    with pytest.raises(ConfigError, match="it is damaged"), readable("x.mat"):
+        table_of(tmp_path / "x.mat")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(128, 77), (135, 200), (145, 8), (168, 133), (176, 133), (180, 60)],
+    ids=["matrix", "size", "complex", "name", "numbers", "numbers beyond"],
+)
+def test_a_matlab_file_whose_elements_do_not_fit_is_refused(
+    place: int, value: int, tmp_path: Path
+) -> None:
+    """SciPy ends Python by a segmentation fault for some of them."""
+    content = bytearray(matlab_file(t=np.arange(4.0)))
+    assert content[place] != value
+    content[place] = value
+    with pytest.raises(ValueError, match="it is damaged"):
+        check_elements(bytes(content))
 
 
 def joint_state(t: float, **position: float) -> SimpleNamespace:

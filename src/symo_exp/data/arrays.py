@@ -13,6 +13,7 @@ import pandas as pd
 import scipy.io
 
 from symo_exp.data.clocks import TIME
+from symo_exp.data.elements import check_elements
 from symo_exp.data.paths import few
 from symo_exp.errors import ConfigError, first_line
 
@@ -109,9 +110,14 @@ def matlab_arrays(file: Path) -> dict[str, Any]:
 
     Raises:
         ConfigError: If the file is of MATLAB 7.3.
+        ValueError: If it is damaged.
     """
+    if scipy.io.matlab.matfile_version(str(file))[0] == 1:
+        check_elements(file.read_bytes())
     try:
         found = scipy.io.loadmat(str(file), simplify_cells=True)
+    except (NameError, ArithmeticError, MemoryError) as error:  # as SciPy takes damaged sizes
+        raise ValueError(f"it is damaged: {first_line(error)}") from error
     except NotImplementedError:
         raise ConfigError(
             f"data.path={file}: MATLAB 7.3 files are not read; save with save('{file.name}', '-v7')"
