@@ -215,6 +215,7 @@ ENDS = [
     ("-sc query=bash", "query", "leave it out"),
     ("--config-dir nowhere", "nowhere", "not found"),
     ("data.n_traj", "data.n_traj", "data.n_traj="),
+    ("-m model,integrator=[node,rk4],[symo,midpoint]", "model,integrator", "sweeps/tables.yaml"),
     ("hydra.sweeper=3", "hydra.sweeper=3", "hydra/sweeper=NAME"),
     ("-cn machine hydra.sweeper=null", "hydra.sweeper=null", "hydra/sweeper=NAME"),
     ("-m seed=0,1 hydra.launcher=joblib", "hydra.launcher=joblib", "hydra/launcher=NAME"),

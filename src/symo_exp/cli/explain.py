@@ -103,6 +103,11 @@ def _unreadable_value(error: OverrideParseException) -> ConfigError:
     if not equals:
         mend = f"data.path={word}" if os.path.exists(word) else f"{word or 'NAME'}=..."
         return ConfigError(f"{word!r} is not a setting with a value: write {mend}")
+    if "," in key:
+        return ConfigError(
+            f"{word}: a command gives one setting in a word, and every combination of their values "
+            f"runs; to vary {key} together, write a file like {SWEEPS / 'tables.yaml'}"
+        )
     if re.search(r"^,|,,|,$", value):
         return ConfigError(f"{word}: a value is missing at a comma; write {key}=A,B without spaces")
     if re.search(r"\s\S+=", value):
