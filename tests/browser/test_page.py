@@ -142,10 +142,10 @@ def test_the_first_screen_has_the_answer_and_nothing_is_wider_than_the_window(
     assert "SyMo has the smallest test error" in browser.find_element("id", "answer").text
     first = box_of(browser, "#answer li:last-of-type")
     assert first["bottom"] < 1000
-    assert box_of(browser, "#best_cartpole")["top"] < 1000
+    assert box_of(browser, "#table_best_cartpole")["top"] < 1000
     assert box_of(browser, "#bar")["height"] <= 60
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    assert not browser.find_element("id", "unfinished").is_displayed()
+    assert not browser.find_element("id", "table_unfinished").is_displayed()
 
 
 @pytest.mark.parametrize("width", [1600, 390])
@@ -154,17 +154,17 @@ def test_the_target_of_a_link_is_not_under_the_bar(width, browser, address):
     bar, section = box_of(browser, "#bar"), box_of(browser, "#noise")
     assert bar["top"] == 0
     assert section["top"] >= bar["bottom"]
-    look_at(browser, f"{address}#accuracy", width)  # a table that is folded
-    wait(browser, browser.find_element("id", "accuracy").is_displayed)
+    look_at(browser, f"{address}#table_accuracy", width)  # a table that is folded
+    wait(browser, browser.find_element("id", "table_accuracy").is_displayed)
 
 
 def test_the_first_column_stays_when_a_table_scrolls(browser, address):
-    look_at(browser, f"{address}#accuracy", 390)
-    cell = "#accuracy td"
+    look_at(browser, f"{address}#table_accuracy", 390)
+    cell = "#table_accuracy td"
     before = box_of(browser, cell)
-    browser.execute_script("document.querySelector('#accuracy').parentElement.scrollLeft = 150")
+    browser.execute_script("document.querySelector('#table_accuracy').parentElement.scrollLeft = 150")
     assert box_of(browser, cell)["left"] == pytest.approx(before["left"], abs=1)
-    assert box_of(browser, "#accuracy td:nth-child(2)")["left"] < before["right"]
+    assert box_of(browser, "#table_accuracy td:nth-child(2)")["left"] < before["right"]
 
 
 @pytest.mark.parametrize("width", [1600, 390])
@@ -180,8 +180,8 @@ def test_a_long_path_does_not_widen_the_page(width, browser, tmp_path):
 
 @pytest.mark.parametrize("width", [1600, 390])
 def test_long_text_of_a_table_is_wrapped(width, browser, address):
-    look_at(browser, f"{address}#unfinished", width)
-    wait(browser, browser.find_element("id", "unfinished").is_displayed)
+    look_at(browser, f"{address}#table_unfinished", width)
+    wait(browser, browser.find_element("id", "table_unfinished").is_displayed)
     script = "return [...document.querySelectorAll('td')].map((c) => c.offsetWidth)"
     assert max(browser.execute_script(script)) < 600
 
@@ -223,7 +223,7 @@ def test_one_system_is_shown_alone(opened):
     shown = charts(opened)
     assert {"cartpole" in one.get_attribute("data-systems") for one in shown} == {True}
     wait(opened, lambda: not any("pendulum" in t for t in opened.execute_script(titles)))
-    assert not opened.find_element("id", "best_pendulum").is_displayed()
+    assert not opened.find_element("id", "table_best_pendulum").is_displayed()
 
 
 def test_a_tooltip_shows_the_value_with_its_unit(opened):
@@ -288,7 +288,7 @@ def test_paper_is_light_and_has_the_folded_tables(browser, address):
         (ink, _), *texts = browser.execute_script(script)
         assert sum(map(int, re.findall(r"\d+", ink))) < 200
         assert {fill for _, fill in texts} == {ink}
-        assert browser.find_element("id", "unfinished").is_displayed()
+        assert browser.find_element("id", "table_unfinished").is_displayed()
     finally:
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 

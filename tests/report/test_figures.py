@@ -294,7 +294,7 @@ def test_a_page_without_figures_has_what_its_buttons_need_and_says_nothing_of_ch
 
 
 def test_the_page_begins_with_the_answer_and_ends_with_the_tables(page):
-    order = [page.index(f'id="{key}"') for key in ("answer", "best_chain", "sizes", "tables")]
+    order = [page.index(f'id="{key}"') for key in ("answer", "table_best_chain", "sizes", "tables")]
     assert order == sorted(order)
     assert '<details class="folded" id="state">' in page
     assert page.index("<b>From few data</b>") < order[2]

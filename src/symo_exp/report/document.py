@@ -44,8 +44,9 @@ class Section:
 class Report:
     """The content of a report.
 
-    Keys are anchors of the page and names of files, so letters and digits replace all else in
-    them, and a number is added to one that another section, table or figure has.
+    Keys of sections and figures are anchors of the page, those of tables and figures are names of
+    files. Underscores therefore replace all but letters and digits, and a number is added to a key
+    that is taken.
 
     Args:
         title: The heading of the report.
@@ -62,13 +63,14 @@ class Report:
     extra: dict[str, pd.DataFrame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        taken: set[str] = set()
-        named = [replace(one, key=_free(one.key, taken)) for one in self.sections]
+        anchors: set[str] = set()
+        names: set[str] = set()
+        named = [replace(one, key=_free(one.key, anchors)) for one in self.sections]
         named = [
             replace(
                 one,
-                tables=[replace(x, key=_free(x.key, taken)) for x in one.tables],
-                figures=[replace(x, key=_free(x.key, taken)) for x in one.figures],
+                tables=[replace(x, key=_free(x.key, names)) for x in one.tables],
+                figures=[replace(x, key=_free(x.key, anchors)) for x in one.figures],
             )
             for one in named
         ]

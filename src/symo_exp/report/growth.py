@@ -33,7 +33,7 @@ def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
         key = f"growth_{system}_{settings}_{number(n_traj)}"
         tables.append(_table(key, f"{system} over its coordinates ({told})", rows))
         figures.append(
-            Figure(f"{key}_curves", f"{system} over its coordinates ({told})", seeds_caption(rows),
+            Figure(key, f"{system} over its coordinates ({told})", seeds_caption(rows),
                    panels(rows, COORDINATES, OVER_N))
         )  # fmt: skip
     return tables, figures

@@ -83,7 +83,7 @@ def section(name: str, rows: pd.DataFrame) -> Section:
     """Return the errors of the models of a file, and figures and tables of the best one."""
     medians, key = _medians(rows), f"recording_{name}"
     tested = (rows.metric == TESTED).any()
-    tables = [_errors_table(medians, f"{key}_errors", _unit(rows))] if tested else []
+    tables = [_errors_table(medians, key, _unit(rows))] if tested else []
     caption = f"{_summary(medians)} Of each method, the settings with the smallest error to 1 s."
     figures = [Figure(f"{key}_horizon", "Error over the horizon", caption, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
