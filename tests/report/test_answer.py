@@ -36,7 +36,7 @@ def said(runs, *rivals):
 def test_there_is_a_sentence_for_each_question_that_the_runs_can_answer():
     runs = made(lambda pair, *_: 1.0 if pair == SYMO else 4.0)
     assert [re.match(r"\*\*(.+?)\*\*", line)[1] for line in said(runs)] == [
-        "One step ahead", "Over long horizons", "For energy", "In time",
+        "One step ahead", "Over long horizons", "In energy", "In training time",
     ]  # fmt: skip
     small = runs[runs.metric == "test_mse"].assign(n_traj=8.0)
     noisy = runs[runs.metric == "test_mse"].assign(noise_std=0.1)

@@ -18,7 +18,7 @@ from symo_exp.report.cells import settings_of
 from symo_exp.report.looks import in_order
 from symo_exp.report.motions import studied
 from symo_exp.report.runs import load_runs, save_runs, tidy
-from symo_exp.report.tables import markdown_table
+from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import CANDIDATES
 from symo_exp.tracking.store import connect
 from tests.report.stores import MEASURES, add_folder, add_run, row
@@ -208,7 +208,7 @@ def test_unfinished_runs_and_empty_stores_are_reported(tmp_path):
 
 def test_a_single_run_is_described_with_units(tmp_path):
     text = (made(tmp_path, [row(MEASURES)]) / "report.md").read_text()
-    assert "**In time** (32 trajectories): training of SyMo 40 s (pendulum)." in text
+    assert "**In training time** (32 trajectories): training of SyMo 40 s (pendulum)." in text
     assert "1 run: 1 finished.\n" in text
 
 
@@ -332,11 +332,24 @@ def test_parts_of_a_page_and_files_have_names_of_their_own():
         for system in ("arm 1", "ARM/1") for n in (1, 2)
     ]  # fmt: skip
     report = general_report(tidy(rows), "it")
-    keys = [one.key.casefold() for part in (report.sections, report.tables, report.figures)
-            for one in part]  # fmt: skip
-    assert sum(key.startswith("recording_") for key in keys) == 3 * len(names)
-    assert len(set(keys)) == len(keys)
-    assert all(re.fullmatch(r"\w+", key) for key in keys)
+    for parts in ((*report.sections, *report.figures), report.tables):
+        keys = [one.key.casefold() for one in parts]
+        assert sum(key.startswith("recording_") for key in keys) >= len(names)
+        assert len(set(keys)) == len(keys)
+        assert all(re.fullmatch(r"\w+", key) for key in keys)
+
+
+@pytest.mark.parametrize(
+    ("cells", "right"),
+    [
+        (["1.5e-3", "÷2.2", "×17", "–", ""], True), (["diverged", "0.1 ×3", "−2"], True),
+        (["0.1", "usable to 1 s"], False), (["rad", "m"], False),
+    ],
+)  # fmt: skip
+def test_columns_of_numbers_are_flush_right(cells, right):
+    table = ResultTable("key", "title", pd.DataFrame({"": cells, "of": cells}))
+    assert table.numeric == [False, right]
+    assert ("| :-- | --: |" in markdown_table(table)) == right
 
 
 def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
@@ -347,7 +360,7 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
     runs = tidy([best, (fold[0], {"val_loss": 0.1})])
     tables = {t.key: t for part in general_report(runs, "it").sections for t in part.tables}
-    assert next(iter(tables["recording_arm_csv_errors"].rows[""])) == "SyMo, midpoint"
+    assert next(iter(tables["recording_arm_csv"].rows[""])) == "SyMo, midpoint"
     candidates = tables["recording_arm_csv_candidates"].rows.set_index("candidate")
     assert list(candidates.index) == ["links (chosen)", "network, learned friction"]
     assert candidates.error["links (chosen)"] == "0.141"
@@ -383,12 +396,12 @@ def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
     )
     assert "## Recording arm.csv" in text
     assert "## Recording leg.csv" in text
-    arm = (out / "tables" / "recording_arm_csv_errors.md").read_text()
+    arm = (out / "tables" / "recording_arm_csv.md").read_text()
     assert "| SyMo, midpoint | 2 | 0.1 | 0.1 | 0.1 | 0.7 | – | usable to 0.7 s |" in arm
     assert "| NODE, midpoint | 1 | 0.4 | 0.4 | 0.4 |" in arm
     assert "| constant velocity |  | 2 | 2 | 2 |" in arm
     assert "| noise of the measurement |  | 1.00e-3 | 1.00e-3 | 1.00e-3 |" in arm
-    leg = (out / "tables" / "recording_leg_csv_errors.md").read_text()
+    leg = (out / "tables" / "recording_leg_csv.md").read_text()
     assert "no better than constant velocity" in leg
     assert not (out / "tables" / "accuracy.md").exists()
 

@@ -21,6 +21,7 @@ from symo_exp.report.looks import (
 )
 from symo_exp.report.ranking import between, logarithms, resampled
 from symo_exp.report.tables import ResultTable
+from symo_exp.words import counted
 
 ROOTS = "test_newton_failed"
 """A measure of the methods that predict from configurations; the others are given velocities."""
@@ -36,8 +37,7 @@ class Question(NamedTuple):
     Args:
         asks: How the answer begins.
         measures: The first of these that the runs have decides.
-        says: The predicate of the best method.
-        than: How it compares with the second.
+        says: The predicate of the best method, with places for the factor and for the second.
         smallest: Whether the smallest training set is asked about.
         noisy: Whether noisy data are asked about.
     """
@@ -45,18 +45,20 @@ class Question(NamedTuple):
     asks: str
     measures: Sequence[str]
     says: str
-    than: str = "below"
     smallest: bool = False
     noisy: bool = False
 
 
+SMALLEST = "has the smallest test error, {} times smaller than that of {}"
 QUESTIONS = (
-    Question("From few data", ("test_mse",), "has the smallest test error", smallest=True),
-    Question("Over long horizons", ("integration_mse",), "predicts best"),
-    Question("For energy", ("energy_mse", "energy_mse_fd"), "keeps it best"),
-    Question("From noisy data", ("test_mse",), "has the smallest test error", noisy=True),
-    Question("In time", ("training_seconds",), "trains in the shortest time", "faster than"),
-)
+    Question("From few data", ("test_mse",), SMALLEST, smallest=True),
+    Question("Over long horizons", ("integration_mse",),
+             "predicts best, with an error {} times smaller than that of {}"),
+    Question("In energy", ("energy_mse", "energy_mse_fd"),
+             "has the smallest error, {} times smaller than that of {}"),
+    Question("From noisy data", ("test_mse",), SMALLEST, noisy=True),
+    Question("In training time", ("training_seconds",), "is the fastest, {} times faster than {}"),
+)  # fmt: skip
 
 
 class Ranked(NamedTuple):
@@ -117,11 +119,11 @@ def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
         return []
     one = others.loc[others.times.idxmax()]
     settings = one.variant or DEFAULTS
-    data = f", {one.n_traj:g} trajectories" if one.n_traj == one.n_traj else ""
+    data = f", {counted(one.n_traj, 'trajectory')}" if one.n_traj == one.n_traj else ""
     return [
         f"**Other settings**: {pair_name(one.method, one.integrator)} has test MSE "
-        f"{short(one['median'])} ({one.system}{data}), {short(one.times)} times below the best "
-        f'above; `--settings "{settings}"` compares the runs with these settings.'
+        f"{short(one['median'])} ({one.system}{data}), {short(one.times)} times smaller than "
+        f'the best above; `--settings "{settings}"` compares the runs with these settings.'
     ]
 
 
@@ -195,8 +197,7 @@ def sentence(found: Ranked) -> str:
     if apart < LEVEL:
         says = f"**{best}** and **{second}** are level"
     elif decided:
-        question = found.question
-        says = f"**{best}** {question.says}, {_times(apart)} times {question.than} {second}"
+        says = f"**{best}** {found.question.says.format(_times(apart), second)}"
     else:
         says = f"undecided between **{best}** and **{second}**, {_times(apart)} times apart"
     others: dict[str, list[str]] = {}
@@ -210,7 +211,7 @@ def sentence(found: Ranked) -> str:
 def _asked(found: Ranked) -> str:
     """Return the question with the noise and the size of the training set."""
     where = [f"noise {number(found.noise)}"] if found.noise else []
-    where += [f"{number(found.size)} trajectories"] if found.size else []
+    where += [counted(found.size, "trajectory")] if found.size else []
     return f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
 
 

@@ -16,8 +16,8 @@ LATEX = {
 }  # fmt: skip
 
 
-NUMBER = r"[-+−±×÷]?(\d|inf|nan|∞|–|$)"
-"""The beginning of a cell with a number, or without anything."""
+NUMBER = r"[-+−±×÷]?(\d|inf|nan|∞|–|$)|diverged"
+"""The beginning of a cell with a number, with the word for none, or without anything."""
 
 
 class Cell(NamedTuple):
