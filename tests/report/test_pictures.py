@@ -224,6 +224,27 @@ def test_a_phase_portrait_wraps_angles_and_has_gaps_where_they_jump():
         assert abs(panel.rows.x.diff()[1:][joined]).max() < math.pi
 
 
+@pytest.mark.parametrize("speed", [2.9, -2.9, 0.3])
+def test_wrapped_lines_have_all_nodes_and_go_on_to_the_edges(speed):
+    """Also of fast motions, of which an angle jumps after every second or third node."""
+    nodes = 41
+    rollouts = dataclasses.replace(made(SYSTEMS["pendulum"], nodes), time_step=0.1)
+    rollouts.q_true[:] = speed * torch.arange(nodes, dtype=torch.float64)[:, None]
+    rollouts.v_true[:] = speed
+    rollouts.q[:], rollouts.v[:] = rollouts.q_true, rollouts.v_true
+    over_time = pictures.trajectories(rollouts, "symo", "t").panels[0]
+    portrait = pictures.phase_portrait(rollouts, "symo", "t").panels[0]
+    turns = int(abs(speed) * (nodes - 1) / (2 * math.pi) + 0.5)
+    for panel, count in ((over_time, 1), (portrait, 4)):
+        for rows in series(panel).values():
+            angle = rows.y if panel is over_time else rows.x
+            assert angle.notna().sum() == count * (nodes + 2 * turns)
+            assert (angle.abs() == math.pi).sum() == count * 2 * turns
+            if panel is over_time:  # the line is straight between the gaps
+                slope = rows.y.diff() / rows.x.diff()
+                assert (slope.dropna() - 10 * speed).abs().max() < 1e-6
+
+
 def test_the_animation_plays_in_real_time(tmp_path):
     system = SYSTEMS["acrobot"]
     path = animate(system, made(system, nodes=21), 0, (look("node"), TRUTH), "t", tmp_path)

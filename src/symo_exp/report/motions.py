@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -237,30 +238,39 @@ def phase_rows(
 ) -> pd.DataFrame:
     """Return a coordinate and its velocity, of the truth and of a model.
 
-    There are gaps where an angle jumps and where another trajectory begins.
+    Args:
+        pair: The method and the integrator of the model.
+        table: The motions.
+        name: The name of the coordinate.
+        wrap: Whether it is an angle that is wrapped.
+        count: The number of points of a cloud; lines if not given, with gaps where an angle jumps
+            and where another trajectory begins.
     """
     parts = []
     for who, field in ((None, "_true"), (pair, "")):
-        x, y = table[f"q{field}_{name}"].to_numpy(), table[f"v{field}_{name}"].to_numpy()
-        gap = np.diff(table.trajectory, append=table.trajectory.iloc[-1]) != 0
-        if wrap:
-            x = wrapped(x)
-            gap |= _jumps(x)
-        parts.append(points(x, np.where(gap, np.nan, y), who, count or len(x)))
+        pieces = []
+        for _, one in table.groupby("trajectory", sort=False):
+            x, y = one[f"q{field}_{name}"].to_numpy(), one[f"v{field}_{name}"].to_numpy()
+            if wrap and count is None:
+                x, y = unbroken(x, y)
+            elif wrap:
+                x = wrapped(x)
+            pieces += [(x, y), ([np.nan], [np.nan])]
+        x, y = (np.concatenate(side) for side in zip(*pieces, strict=True))
+        parts.append(points(x, y, who, count or len(x)))
     return pd.concat(parts)
 
 
 def points(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS) -> pd.DataFrame:
-    """Return about ``count`` points of a model, or of the truth without a pair."""
-    table = evenly_thinned(pd.DataFrame({"x": x, "y": y}), count)
+    """Return ``count`` to twice as many points of a model, or of the truth without a pair.
+
+    Those of a longer line are at equal distances.
+    """
+    table = pd.DataFrame({"x": x, "y": y})
+    table = table.iloc[:: max(1, len(table) // count)]
     method, integrator = pair or ("", "")
     source = "ours" if pair else "truth"
     return table.assign(method=method, integrator=integrator, source=source)
-
-
-def evenly_thinned(table: pd.DataFrame, count: int = POINTS) -> pd.DataFrame:
-    """Return ``count`` to twice as many rows of a longer table, at equal distances."""
-    return table.iloc[:: max(1, len(table) // count)]
 
 
 def kept(table: pd.DataFrame) -> pd.DataFrame:
@@ -282,16 +292,31 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return np.asarray(np.pi - np.mod(np.pi - finite, 2 * np.pi))
 
 
-def unbroken(angle: pd.Series) -> pd.Series:
-    """Return wrapped angles, with gaps where they jump."""
-    values = wrapped(angle.to_numpy())
-    return pd.Series(np.where(_jumps(values), np.nan, values), angle.index)
+def unbroken(angle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return wrapped angles for a line, and another quantity at the same nodes.
 
-
-def _jumps(angle: np.ndarray) -> np.ndarray:
-    """Return after which nodes a wrapped angle jumps."""
+    Where an angle jumps, the line is continued to ±π on both sides, with a gap between them: three
+    nodes are added, at which the other quantity is interpolated.
+    """
+    values = wrapped(angle)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(np.diff(angle, append=angle[-1])) > np.pi)
+        at = np.flatnonzero(np.abs(np.diff(values)) > np.pi)
+        turn = wrapped(np.diff(values)[at])  # the shorter way; 0 from one edge to the other
+        edge = np.copysign(np.pi, turn)
+        between = other[at] + (edge - values[at]) / turn * np.diff(other)[at]
+    added = np.stack([edge, np.full_like(edge, np.nan), -edge], axis=1).ravel()
+    places = np.repeat(at + 1, 3)
+    return np.insert(values, places, added), np.insert(other, places, np.repeat(between, 3))
+
+
+def wrapped_lines(panel: Panel) -> Panel:
+    """Return a panel of an angle over time with wrapped lines."""
+    parts = []
+    for _, rows in panel.rows.groupby("source", sort=False):
+        y, x = unbroken(rows.y.to_numpy(dtype=float), rows.x.to_numpy(dtype=float))
+        looks = rows[["method", "integrator", "source"]].iloc[0]
+        parts.append(pd.DataFrame({"x": x, "y": y}).assign(**looks.to_dict()))
+    return replace(panel, rows=pd.concat(parts))
 
 
 def coordinates(table: pd.DataFrame, prefix: str = "q_true_") -> list[str]:

@@ -19,7 +19,6 @@ from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, look, short
 from symo_exp.report.motions import (
     LONG,
-    evenly_thinned,
     kept,
     learned_figure,
     over_time,
@@ -27,7 +26,7 @@ from symo_exp.report.motions import (
     points,
     ranked_as,
     ranking,
-    unbroken,
+    wrapped_lines,
 )  # fmt: skip
 from symo_exp.report.paper import save_figure
 from symo_exp.systems.base import LagrangianSystem, System
@@ -107,10 +106,8 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
                 ranked_as(which, len(errors))
                 + f"MSE {short(float(errors[one.trajectory.iloc[0]]))}"
             )
-            shown = evenly_thinned(one[one.t <= LONG])  # before gaps are made, of one node each
-            if turns:
-                shown = shown.assign(**{c: unbroken(shown[c]) for c in columns})
-            panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
+            shown = over_time({pair: one[one.t <= LONG]}, *columns, label, said + _until(one))
+            panels.append(wrapped_lines(shown) if turns else shown)
     unit = ", ".join(f"{unit}²" for unit in rollouts.coordinates.units_of_errors)
     for one in chosen.values():
         panels.append(over_time({pair: one}, "error", None, f"squared error [{unit}]", log=True))
