@@ -162,7 +162,8 @@ def test_the_first_column_stays_when_a_table_scrolls(browser, address):
     look_at(browser, f"{address}#table_accuracy", 390)
     cell = "#table_accuracy td"
     before = box_of(browser, cell)
-    browser.execute_script("document.querySelector('#table_accuracy').parentElement.scrollLeft = 150")
+    script = "document.querySelector('#table_accuracy').parentElement.scrollLeft = 150"
+    browser.execute_script(script)
     assert box_of(browser, cell)["left"] == pytest.approx(before["left"], abs=1)
     assert box_of(browser, "#table_accuracy td:nth-child(2)")["left"] < before["right"]
 

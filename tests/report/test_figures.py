@@ -97,6 +97,12 @@ FIGURES = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("count", "most", "columns"), [(4, 3, 2), (5, 3, 3), (6, 4, 3), (2, 3, 2)])
+def test_rows_of_panels_are_of_equal_length_if_they_can_be(count, most, columns):
+    rows = pd.DataFrame({"source": ["truth"], "method": "", "integrator": "", "x": 0.0, "y": 1.0})
+    assert Figure("k", "", "", [Panel("", "", "", rows)] * count, columns=most).columns == columns
+
+
 @pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.key)
 def test_a_chart_has_every_trace_with_its_look_and_a_legend(figure):
     spec = declare(figure, interactive=True)

@@ -71,8 +71,7 @@ def declare(figure: Figure, *, interactive: bool) -> dict[str, Any]:
         _panel(panel, channels, f"zoom_{i}" if interactive else "")
         for i, panel in enumerate(figure.panels)
     ]
-    columns = min(figure.columns, len(charts))
-    chart = alt.concat(*charts, columns=columns, spacing={"row": 25, "column": 30})
+    chart = alt.concat(*charts, columns=figure.columns, spacing={"row": 25, "column": 30})
     # points of a cloud are filled by their integrator, others by their source
     chart = chart.resolve_scale(x="independent", y="independent", fillOpacity="independent")
     chart = chart.add_params(

@@ -142,7 +142,7 @@ class Figure:
         title: The heading.
         caption: Text below the panels.
         panels: The panels, row by row.
-        columns: Largest number of panels in a row.
+        columns: Largest number of panels in a row; fewer if rows can then be of equal length.
     """
 
     key: str
@@ -154,6 +154,8 @@ class Figure:
     def __post_init__(self) -> None:
         shown = [panel for panel in self.panels if panel.rows.y.notna().any()]
         object.__setattr__(self, "panels", shown)
+        rows = -(-len(shown) // self.columns)
+        object.__setattr__(self, "columns", -(-len(shown) // max(rows, 1)) or 1)
 
     @property
     def systems(self) -> list[str]:

@@ -39,7 +39,7 @@ def save_figure(figure: Figure, folder: Path) -> Path:
 
 def draw(figure: Figure) -> mpl.Figure:
     """Return all panels with one legend."""
-    columns = min(figure.columns, len(figure.panels))
+    columns = figure.columns
     rows = -(-len(figure.panels) // columns)
     legend = _legend(figure.panels)
     across = columns + 1  # entries of the longest names that fit side by side
@@ -97,7 +97,11 @@ def _style(panel: Panel, trace: Trace) -> dict[str, Any]:
         small = {"ms": 1.2, "marker": "."} if count > MANY_POINTS else {"marker": look.marker}
         return style | {"ls": "", "alpha": 0.8} | small
     dash = (0, trace.stroke.dash) if trace.stroke.dash else "-"
-    return style | {"ls": dash} | ({"lw": 0.6} if count > LONG_LINE else {})
+    if count > LONG_LINE:
+        style["lw"] = 0.6
+    elif panel.only:  # nothing is drawn on it, but the line itself may come close again
+        style["lw"] = 0.8
+    return style | {"ls": dash}
 
 
 def _finite(values: Any) -> np.ndarray:
