@@ -49,6 +49,7 @@ def test_an_output_folder_may_begin_with_the_home_of_the_user(workplace, monkeyp
         (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
         (["scheduler=cosine"], "scheduler=cosine"),
         (["learning_rate=1e-2"], "learning_rate=0.01"),
+        (["learner.gradient_clip=null"], "learner.gradient_clip=null"),  # as it can be typed
         (["net.width=7", "data.n_test=9"], "data.n_test=9, net.width=7"),
         (
             ["-cn", "demo", "model=node", "data.n_traj=8", "hydra/launcher=basic"],

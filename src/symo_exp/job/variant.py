@@ -39,7 +39,7 @@ class Differences(NamedTuple):
         values = dict(relevant(self.values.values))
         preset = [c.removeprefix("preset=") for c in self.chosen if c.startswith("preset=")]
         changed = [
-            f"{name}={x:g}" if isinstance(x := values[name], float) else f"{name}={x}"
+            f"{name}={f'{x:g}' if isinstance(x := values[name], float) else override_value(x)}"
             for name in self.changed
         ]
         return ", ".join([*(p for p in preset if p != "default"), *self.choices, *changed])
