@@ -17,7 +17,7 @@ import vl_convert
 from symo_exp.report import curves
 from symo_exp.report.cells import Compared, cells
 from symo_exp.report.charts import MARKERS, declare, draw_charts
-from symo_exp.report.document import Report
+from symo_exp.report.document import Report, Section
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import (
     MEASURES,
@@ -297,6 +297,12 @@ def test_a_page_without_figures_has_what_its_buttons_need_and_says_nothing_of_ch
     assert 'getElementById("theme").addEventListener' in bare
     assert len(bare) < 50_000 < len(page)  # without the libraries that draw
     assert ["Charts: point" in text for text in (bare, page)] == [False, True]
+
+
+def test_the_page_shows_bold_words_and_commands(report):
+    said = Section("answer", "Answer", ['**Other <settings>**: `--settings "a"` compares them'])
+    told = html(replace(report, sections=[said]))
+    assert "<b>Other &lt;settings&gt;</b>: <code>--settings &#34;a&#34;</code> compares" in told
 
 
 def test_the_page_begins_with_the_answer_and_ends_with_the_tables(page):

@@ -22,7 +22,9 @@ ERRORS = (
 )
 CHOICE = (
     "× chosen: ratio over the folds that both have, with the standard error of its logarithm. The "
-    "chosen one is the simplest that the best one does not beat by more than one standard error."
+    "search takes the simplest one that the best one does not beat by more than one standard "
+    "error. It then tries this one with fewer forces, a simpler structure and a higher order of "
+    "the integrator, and keeps what the data support."
 )
 NO_CHOICE = (
     "None is chosen yet: the search has not ended, or it found no model. When it has ended, write "

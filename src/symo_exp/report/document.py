@@ -19,7 +19,7 @@ class Section:
     Args:
         key: The anchor of the section in the page.
         title: The heading.
-        text: Paragraphs; words between ``**`` are bold.
+        text: Paragraphs; words between ``**`` are bold, those between grave accents commands.
         tables: Tables below the text.
         figures: Figures below the tables.
         folded: Whether the page shows the section only when it is opened.

@@ -157,7 +157,6 @@ def _panels(rows: pd.DataFrame, medians: pd.DataFrame) -> list[Panel]:
     if not still.empty:
         least = drawn.x.map({h: still.get(name) for name, h in ERRORS.items()})
         shares = drawn.assign(**{name: drawn[name] / least for name in ("y", "low", "high")})
-        panels.append(
-            Panel("", "horizon [s]", "RMSE over constant velocity's", shares, ticks=ticks)
-        )
+        label = "RMSE relative to constant velocity"
+        panels.append(Panel("", "horizon [s]", label, shares, ticks=ticks))
     return panels

@@ -34,7 +34,7 @@ def html(report: Report) -> str:
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["bold"] = lambda text: re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", str(text))
+    environment.filters["marked"] = _marked
     figures = report.figures
     systems = {system for figure in figures for system in figure.systems}
     systems |= {table.system for table in report.tables}
@@ -61,6 +61,11 @@ def toggles(figures: Sequence[Figure]) -> dict[str, dict[str, str]]:
         "source": {trace.source: SOURCES.get(trace.source, trace.source) for trace in traces},
     }
     return {group: names for group, names in groups.items() if len(names) > 1}
+
+
+def _marked(text: str) -> str:
+    """Return a paragraph with bold words and commands as HTML."""
+    return re.sub(r"`(.+?)`", r"<code>\1</code>", re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", str(text)))
 
 
 def _held(figures: Sequence[Figure]) -> str:
