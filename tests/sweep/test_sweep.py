@@ -11,10 +11,13 @@ import pytest
 from hydra.core.plugins import Plugins
 
 from symo_exp.__main__ import main
+from symo_exp.errors import ConfigError
 from symo_exp.job import job, parts
+from symo_exp.job.checks import check_folder
+from symo_exp.job.job import end
 from symo_exp.process import stopping
 from symo_exp.process.stopping import Interrupted
-from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.folder import DIED, RunFolder
 from symo_exp.sweep.compose import Job
 from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.parent import parent
@@ -23,6 +26,7 @@ from symo_exp.tracking.page import NOTE
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.tracking.store import connect, find
 from tests.jobs import planned
+from tests.limits import no_file_larger_than
 from tests.tiny import TINY, copy_store
 
 SWEPT = [*TINY, "pictures=false", "experiment=study", "model=node", "-m"]
@@ -268,3 +272,30 @@ def test_a_sweep_that_ends_early_tells_why_in_words(error, told, tmp_path):
     (folder,) = map(RunFolder, (tmp_path / ".sweeps").iterdir())
     assert folder.outcome().status == told[0]
     assert folder.outcome().reason.startswith(told[1])
+
+
+def test_a_sweep_ends_with_its_table_on_a_disk_that_has_become_full(tmp_path, caplog):
+    one = Job("seed=0", [], None, {}, {}, RunFolder(tmp_path / "run"))
+    one.folder.write_measures({"test_mse": 1.0})
+    with contextlib.ExitStack() as stack, parent([one], "sweep", "", Nowhere()):
+        stack.enter_context(no_file_larger_than(5))
+    (folder,) = map(RunFolder, (tmp_path / ".sweeps").iterdir())
+    assert folder.outcome().status == "waiting"
+    assert "(failed: 1 of 1 runs failed) cannot be written" in caplog.text
+
+
+def test_a_killed_run_on_a_full_disk_is_left_to_the_next_command(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.record("running")
+    with no_file_larger_than(5):
+        end(folder, None, "failed", DIED)
+    assert folder.outcome().status == "waiting"
+
+
+def test_an_output_folder_on_a_full_disk_is_refused(tmp_path):
+    check_folder(tmp_path / "outputs")
+    with (
+        no_file_larger_than(5),
+        pytest.raises(ConfigError, match=r"cannot be written .*output_dir"),
+    ):
+        check_folder(tmp_path / "outputs")

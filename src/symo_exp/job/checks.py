@@ -33,6 +33,8 @@ KINDS = {
 """Classes from which those of parts inherit; to import them takes as long as to import PyTorch."""
 LONGEST = 255
 """Bytes of the name of a folder, which file systems allow."""
+LEAST_SPACE = 1 << 16
+"""Bytes of space on the disk that every run needs."""
 
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 _WANTED = {
@@ -236,7 +238,8 @@ def check_folder(folder: Path) -> None:
     """Refuse an output folder that cannot be made or written."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     try:
-        tempfile.TemporaryFile(dir=there).close()
+        with tempfile.TemporaryFile(dir=there) as file:
+            file.write(bytes(LEAST_SPACE))
     except OSError as error:
         raise ConfigError(
             f"output folder {folder}: {there} cannot be written ({error.strerror}); "

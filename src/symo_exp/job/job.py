@@ -24,6 +24,7 @@ from symo_exp.job.variant import differences
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
+from symo_exp.runs.outcome import Status
 from symo_exp.runs.series import read
 from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
@@ -163,7 +164,8 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
         if is_done(settings.values, folder):
             return None
         failure: BaseException | None = None
-        status, reason = "finished", ""
+        status: Status = "finished"
+        reason = ""
         try:
             folder.record("running")
             folder.mark_published(None)
@@ -191,17 +193,25 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
             reason = f"{type(error).__name__}: {one_line(error)}{place_in_code(error)}"
             if isinstance(error, ConfigError):
                 status, reason = "refused", one_line(error)
-        _end(folder, tracker, status, reason, time.perf_counter() - start)
+        end(folder, tracker, status, reason, time.perf_counter() - start)
     if time_is_up:
         try:
             stopping.make_way()
         except Exception as error:
-            _end(folder, tracker, "interrupted", f"its time was up: {one_line(error)}", 0.0)
+            end(folder, tracker, "interrupted", f"its time was up: {one_line(error)}")
     return failure
 
 
-def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: float) -> None:
-    """Record how the run ended and publish it."""
+def end(folder: RunFolder, tracker: Any, status: Status, reason: str, seconds: float = 0.0) -> None:
+    """Record how a run or a sweep ended and publish it, or log that a full disk forbids it.
+
+    Args:
+        folder: Its folder.
+        tracker: The store; ``None``: it is published later.
+        status: How it ended.
+        reason: Why it did not finish.
+        seconds: Of work since the last record.
+    """
     try:
         folder.record(status, reason, seconds)
     except OSError as error:  # a full disk

@@ -14,7 +14,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
 from symo_exp.errors import debugging, one_line
-from symo_exp.job.job import SWEEP, VARIED
+from symo_exp.job.job import SWEEP, VARIED, end
 from symo_exp.process import stopping
 from symo_exp.runs.folder import DIED
 from symo_exp.shell import override_value
@@ -60,9 +60,9 @@ class Launches:
         died = [job for job in jobs if job.folder.died()]
         for job in died:
             if stopping.requested() is None:
-                job.folder.record("failed", DIED)
+                end(job.folder, None, "failed", DIED)
             else:
-                job.folder.record("interrupted", "its process was ended")
+                end(job.folder, None, "interrupted", "its process was ended")
         return died
 
     def _start_all(self, jobs: Sequence[Job]) -> list[Job]:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 
 from symo_exp.errors import first_line, one_line
-from symo_exp.job.job import SWEEP, VARIED, publish
+from symo_exp.job.job import SWEEP, VARIED, end, publish
 from symo_exp.job.lines import MEASURES
 from symo_exp.process import stopping
 from symo_exp.report.looks import written
 from symo_exp.runs.digest import digest
-from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.outcome import About, Status
 from symo_exp.sweep.compose import Job
 from symo_exp.tracking.page import COMMAND, RESULT
 
@@ -41,30 +42,30 @@ def parent(jobs: Sequence[Job], name: str, command: str, tracker: Any) -> Iterat
         varied = list(dict.fromkeys(name for name, equals, _ in words if equals))
         os.environ[VARIED] = ",".join(varied)
         tracker.show(varied)
+        status: Status = "finished"
+        reason = ""
         try:
             yield
         except Exception as error:
-            folder.record("failed", f"{type(error).__name__}: {one_line(error)}")
+            status, reason = "failed", f"{type(error).__name__}: {one_line(error)}"
             raise
         except BaseException as error:
-            folder.record("interrupted", first_line(error))
+            status, reason = "interrupted", first_line(error)
             raise
         else:
             signum = stopping.requested()
             bad = sum(job.folder.outcome().status != "finished" for job in jobs)
             if signum is not None:
-                folder.record("interrupted", str(stopping.Interrupted(signum)))
+                status, reason = "interrupted", str(stopping.Interrupted(signum))
             elif bad:
-                folder.record("failed", f"{bad} of {len(jobs)} runs failed")
-            else:
-                folder.record("finished")
+                status, reason = "failed", f"{bad} of {len(jobs)} runs failed"
             if result := _result(jobs):
-                tags[RESULT] = result
-            folder.describe(About(name, {"jobs": len(jobs)}, tags=tags))
+                with suppress(OSError):  # a full disk: the runs have these numbers
+                    folder.describe(About(name, {"jobs": len(jobs)}, tags={**tags, RESULT: result}))
         finally:
             os.environ.pop(SWEEP, None)
             os.environ.pop(VARIED, None)
-            publish(tracker, folder)
+            end(folder, tracker, status, reason)
 
 
 def _result(jobs: Sequence[Job]) -> str:
