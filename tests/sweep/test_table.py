@@ -105,6 +105,14 @@ def test_the_best_is_marked_for_each_system(tmp_path):
     assert units.startswith("* the best of its system; MSE")
 
 
+def test_a_run_that_has_not_started_is_of_no_other_system(tmp_path):
+    folders = [made(tmp_path / name, test_mse=1.0) for name in "ab"]
+    for folder in folders:
+        folder.describe(About("SyMo", {"system": "cartpole"}))
+    told = table(["a", "b", "c"], [*folders, RunFolder(tmp_path / "c")])
+    assert "* the best; MSE" in told
+
+
 def test_a_single_run_has_no_room_for_marks_and_its_name_is_whole(tmp_path):
     values = {"train_mse": 3.39e-18, "test_mse": 5.23e-18, "integration_mse": 9.76e-12,
               "energy_mse": 1.11e-15, "inertia_mse": 4.16e-15}  # fmt: skip

@@ -43,7 +43,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     names = ["", *_fitted([brief(label) for label in labels], max(room, 12))]
     lines = aligned(names, columns)
     if shown:
-        best = "* the best" + " of its system" * (len(set(systems)) > 1)
+        best = "* the best" + " of its system" * (len({*systems} - {None}) > 1)
         told = "; ".join([*[best] * (len(folders) > 1), *units_of(shown, found)])
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
