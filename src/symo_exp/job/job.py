@@ -47,11 +47,11 @@ def job(config: DictConfig) -> float | None:
     command was asked to stop, or if another process has finished the run.
 
     Returns:
-        The ``optimized_metric`` for a sweeper that searches; the worst value for a failed run, and
-        where the metric is not a number, with which Optuna would end.
+        The ``optimized_metric`` for a sweeper that searches; the worst value for a run that failed
+        or was refused, and where the metric is not a number, with which Optuna would end.
 
     Raises:
-        Refused: For bad input, under another sweeper than ours.
+        Refused: For bad input in the first run of another sweeper than ours.
         Interrupted: If a signal ended the run, under another sweeper than ours.
     """
     hydras = HydraConfig.get()
@@ -75,8 +75,8 @@ def job(config: DictConfig) -> float | None:
         raise failure
     if ours:
         return None
-    if isinstance(failure, ConfigError):
-        raise Refused(failure)
+    if isinstance(failure, ConfigError) and hydras.job.num == 0:
+        raise Refused(failure)  # that of a later trial is caused by what the search varies
     if isinstance(failure, stopping.Interrupted):
         raise failure
     trials = hydras.sweeper.get("n_trials")
