@@ -1,5 +1,7 @@
 """The folder of a run: atomic files, its lock and its content; and its series."""
 
+import errno
+import fcntl
 import itertools
 import math
 import os
@@ -8,10 +10,12 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pandas
 import pytest
 import yaml
 
+from symo_exp.data.cache import Cache
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.outcome import recording_names
@@ -124,6 +128,24 @@ def test_a_run_that_goes_on_is_the_same_run(folder):
     folder.clear()
     folder.describe(About("anew", {"a": 1}))
     assert folder.about().identity != first.identity
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_run_goes_on_where_there_are_no_locks(code, folder, monkeypatch):
+    """As on some network disks."""
+
+    def flock(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with folder.alone():
+        folder.record("finished")
+    assert not folder.in_use()
+    cache, made = Cache(folder / "cache"), {"a": np.ones(3)}
+    assert cache.get("name", {}, lambda: made) == made
+    monkeypatch.setattr(fcntl, "flock", lambda *_: os.open("/none", os.O_RDONLY))
+    with pytest.raises(FileNotFoundError), folder.alone():
+        pass
 
 
 HOLD = """

@@ -9,7 +9,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from filelock import FileLock
 
 from symo_exp.errors import ConfigError
 from symo_exp.files import write_text, write_whole
+from symo_exp.locks import where_possible
 
 log = logging.getLogger(__name__)
 
@@ -71,7 +72,7 @@ class Cache:
             with ExitStack() as stack:
                 # without locks, as on some network file systems, two processes may make the same
                 # data; the last file replaces the other, with the same bytes
-                with suppress(NotImplementedError):
+                with where_possible():
                     stack.enter_context(FileLock(path.with_suffix(".lock")))
                 found = _read(path, recipe, report=True)
                 if found is not None:

@@ -27,7 +27,7 @@ import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from filelock import FileLock, Timeout
 
 from symo_exp.errors import without_passwords
 from symo_exp.files import read_json, write_state, write_text, write_whole
+from symo_exp.locks import where_possible
 from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
 log = logging.getLogger(__name__)
@@ -76,7 +77,7 @@ class RunFolder:
     def alone(self) -> Iterator[None]:
         """Hold the lock; wait for it while another process works on the same run."""
         with ExitStack() as stack:
-            with suppress(NotImplementedError):  # a file system without locks
+            with where_possible():
                 try:
                     stack.enter_context(self._lock().acquire(timeout=0))
                 except Timeout:
