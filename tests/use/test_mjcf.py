@@ -305,6 +305,15 @@ def test_friction_that_differs_about_the_axes_of_a_ball_joint_is_reported(tmp_pa
     np.testing.assert_allclose(damping, 0.3, rtol=1e-6)
 
 
+@pytest.mark.parametrize("d", [0.1, 0.2, 0.7])
+def test_a_body_with_the_same_friction_in_all_directions_has_a_free_joint(d, tmp_path):
+    system = replace(SYSTEMS["quadrotor"], viscous=(d,) * 6, coulomb=(d,) * 6)
+    model = model_of(system.lagrangian, system.coordinates, system.input_matrix, system)
+    theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "drone.xml")))
+    assert theirs.jnt_type.tolist() == [int(mujoco.mjtJoint.mjJNT_FREE)]
+    assert set(theirs.dof_damping) == set(theirs.dof_frictionloss) == {d}
+
+
 def test_inputs_of_a_small_body_keep_their_digits(tmp_path):
     system = SYSTEMS["rigid_body"]
     matrix = 1e-9 * torch.rand(3, 2, generator=torch.Generator().manual_seed(0)).double()

@@ -44,6 +44,8 @@ AGREEMENT = 1e-8
 """Largest difference from MuJoCo's accelerations and mass matrix, relative to their size."""
 SMALL = 1e-3
 """Least size that differences are related to [SI]."""
+ENDLESS = 1e6
+"""Bound of a range beyond which it stands for none [rad, m]: a slide of a URDF has to have one."""
 TINY = 1e-15
 """Mass up to which MuJoCo ignores a body [kg]."""
 
@@ -180,9 +182,15 @@ def _joints(model: Any, data: Any, i: int) -> list[dict[str, Any]]:
             "stiffness": own + stiffness,
             "rest": pull / (own + stiffness) if own + stiffness else 0.0,
             "damping": shared["damping"] + damping,
-            "limits": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
+            "limits": _limits(model, i),
         }
     ]
+
+
+def _limits(model: Any, joint: int) -> list[float] | None:
+    bounds = model.jnt_range[joint]
+    limited = model.jnt_limited[joint] and np.abs(bounds).max() < ENDLESS
+    return bounds.tolist() if limited else None
 
 
 def _servos(model: Any, joint: int) -> tuple[float, float, float]:

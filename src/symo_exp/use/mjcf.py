@@ -206,11 +206,16 @@ def _of_balls(
     mean = dry.clone()
     for own in turning:
         held[own], held[:, own] = 0.0, 0.0
-        held[own, own], mean[own] = damping[own, own].mean(), dry[own].mean()
+        held[own, own], mean[own] = _mean(damping[own, own]), _mean(dry[own])
     pairs = (held, damping), (mean, dry)
     if not all(torch.allclose(x, y, rtol=1e-12, atol=0.0) for x, y in pairs):
         missing.append("friction of ball joints is its mean over their axes in this file")
     return held, [*of_each(mean), *coupled]
+
+
+def _mean(values: Tensor) -> Tensor:
+    """Return the mean, without a rounding error of equal values, which one free joint can have."""
+    return values[0] if (values == values[0]).all() else values.mean()
 
 
 def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
