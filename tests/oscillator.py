@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
-from symo_exp.mechanics.windows import cut_windows
+from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory, Windows
 from symo_exp.models.flows import Rollout, Step
 
 
@@ -43,10 +42,11 @@ def oscillator(n: int) -> Oscillator:
 
 
 class Data(NamedTuple):
-    train: Windows
-    test: Windows
     integration: Trajectories
     recorded = False
+
+    def trajectories(self, part: str) -> list[Trajectory]:
+        return self.integration.each()
 
 
 def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
@@ -55,9 +55,7 @@ def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
     q, v = torch.randn(2, batch, n, dtype=torch.float64, generator=generator)
     nodes = [system.flow(q, v, h * k) for k in range(steps + 2)]
     q, v = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
-    trajectories = Trajectories(q, v, torch.zeros_like(q[..., :1]))
-    samples = cut_windows(trajectories.each())
-    return Data(samples, samples, trajectories)
+    return Data(Trajectories(q, v, torch.zeros_like(q[..., :1])))
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,15 @@ from symo_exp.evaluation.motion import Motion
 from symo_exp.evaluation.rollouts import CHUNK, roll_out
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
+from symo_exp.models.true import TrueOde
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.mlp import MLP
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
-from tests.data.small import write_recordings
+from tests.data.small import ready, write_recordings
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 from tests.pages import ROOT
 from tests.tables import arguments_of
@@ -73,7 +75,7 @@ def test_a_constant_bias_is_the_one_step_error(n: int):
     system = oscillator(n)
     evaluation = result(Exact(system, system, H, bias=1e-3))
     found = evaluation.measures
-    moved = data(system, H).test
+    moved = cut_windows(data(system, H).trajectories("test"))
     motion = (moved.q_next - moved.q).square().mean().sqrt().item()
     assert found["test_relative"] == pytest.approx(1e-3 / motion)
     assert found["test_mse"] == pytest.approx(1e-6)
@@ -149,19 +151,21 @@ def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
 def test_measures_do_not_depend_on_the_chunk_size(monkeypatch: pytest.MonkeyPatch):
     model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
     whole = result(model).measures
-    assert len(data(model.system, H).test.q) < CHUNK
+    assert len(cut_windows(data(model.system, H).trajectories("test")).q) < CHUNK
     for module in ("evaluate", "rollouts"):
         monkeypatch.setattr(f"symo_exp.evaluation.{module}.CHUNK", 7)
     assert result(model).measures == pytest.approx(whole, rel=1e-12)
 
 
-def test_float32_samples_are_measured_in_float64():
-    model = Exact(oscillator(1), oscillator(1), H)
-    sets = data(model.system, H)
-    single = sets.test._replace(**{k: x.float() for k, x in sets.test._asdict().items()})
-    found = evaluate(model, model.system, sets._replace(test=single))
-    assert found.rollouts.q.dtype == torch.float64
-    assert 0 < found.measures["test_mse"] < 1e-12
+def test_measures_do_not_depend_on_the_precision_of_the_training():
+    sets = [ready(dtype=dtype, noise_std=1e-3) for dtype in ("float32", "float64")]
+    system = sets[0].system
+    true = TrueOde(
+        system, coordinates=system.coordinates, input_matrix=system.input_matrix,
+        time_step=system.time_step, integrator=RK4(),
+    )  # fmt: skip
+    single, double = (evaluate(true, system, one).measures for one in sets)
+    assert single == double
 
 
 def test_the_energy_error_uses_the_true_lagrangian():
