@@ -23,6 +23,7 @@ from symo_exp.identify import trials
 from symo_exp.identify.recordings import examine
 from symo_exp.identify.structures import ladder
 from symo_exp.identify.variations import with_half_the_step
+from symo_exp.process import phases
 from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded
@@ -449,10 +450,19 @@ def test_the_inertia_is_that_of_recordings_in_which_inputs_act(order, one, workp
         assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
 
 
-def test_a_check_says_what_a_search_infers_and_leaves_nothing(workplace, capsys):
+def test_a_check_says_what_a_search_infers_and_leaves_nothing(workplace, capsys, monkeypatch):
     driven().to_csv("mine.csv", index=False)
     words = ["-cn", "machine", "data.path=mine.csv", "budget=20s", "hydra.sweeper.check_only=true"]
+    shown, printed = [], print
+    monkeypatch.setattr(phases, "say", shown.append)
+    monkeypatch.setattr(phases, "clear", shown.clear)
+    at_print: list[list[str]] = []
+    monkeypatch.setattr(
+        "builtins.print", lambda *x, **y: (at_print.append([*shown]), printed(*x, **y))
+    )
     assert main(words) == 0
+    assert at_print
+    assert not any(at_print)  # no line is printed behind a status
     said = capsys.readouterr().out.splitlines()
     notes = list(examine({"path": "mine.csv"}).notes)
     assert said[: len(notes)] == notes

@@ -34,6 +34,16 @@ def test_a_status_is_shown_on_a_terminal_that_erases_and_erased(terminal, kind, 
     assert all(len(part) <= 80 for part in said.getvalue().split(phases.ERASED))
 
 
+@pytest.mark.parametrize(("columns", "longest"), [(50, 50), (80, 80), (200, 80), (0, 80)])
+def test_a_status_fits_in_a_line_of_the_terminal(columns, longest, monkeypatch):
+    said = io.StringIO()
+    said.isatty, said.fileno = lambda: True, lambda: 2
+    monkeypatch.setattr(sys, "stderr", said)
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((columns, 24)))
+    phases.say("measuring " + 100 * "x")
+    assert len(said.getvalue().removeprefix(phases.ERASED)) == longest
+
+
 @pytest.mark.parametrize(
     ("script", "shown"),
     [

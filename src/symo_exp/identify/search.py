@@ -102,6 +102,7 @@ class Search:
         if kept is None:  # a kept plan is that of a search that has begun
             fits.check(planned)
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
+        phases.clear()
         for note in machine.notes:
             print(note)
         if not machine.moves:

@@ -8,6 +8,8 @@ import os
 import sys
 
 ERASED = "\r\x1b[K"
+WIDEST = 80
+"""Columns of a long status on a wide terminal."""
 
 _terminals: dict[str, int] = {}
 """File descriptors of the terminals that this process has locked, by name."""
@@ -28,7 +30,7 @@ def visible(*, notebook: bool = False) -> bool:
 def say(text: str) -> None:
     """Show what begins now, if it may take a second."""
     if visible():
-        sys.stderr.write(f"{ERASED}{text[:78]} …")
+        sys.stderr.write(f"{ERASED}{text[: _width() - 2]} …")
         sys.stderr.flush()
 
 
@@ -37,6 +39,15 @@ def clear() -> None:
     if visible():
         sys.stderr.write(ERASED)
         sys.stderr.flush()
+
+
+def _width() -> int:
+    """Return the columns of a status: one that is continued on a second line is not erased."""
+    try:
+        columns = os.get_terminal_size(sys.stderr.fileno()).columns
+    except OSError:  # not a terminal
+        columns = 0
+    return min(columns or WIDEST, WIDEST)
 
 
 def _owns_terminal() -> bool:
