@@ -20,7 +20,7 @@ from tests.architecture import (
 )
 
 TESTS = Path(__file__).parent
-EVERYBODYS = {"checks", "errors", "files", "imports", "shell", "shipped", "code", "words"}
+EVERYBODYS = {"checks", "errors", "files", "imports", "locks", "shell", "shipped", "code", "words"}
 ABOVE = (
     {"__main__", "avx512", "record", "cli", "compile", "process", "systems", "tracking", "use"},
     {"torch", "gymnasium", "numpy", "pandas"},

@@ -51,9 +51,10 @@ def test_a_trial_whose_measure_is_not_a_number_is_the_worst(workplace, monkeypat
 
 def test_a_later_trial_that_is_refused_is_the_worst(workplace, monkeypatch):
     """For instance for want of memory: the search of a night goes on."""
-    ends = iter([None, ConfigError("net.width=4096 needs more memory"), None])
+    refusals = iter([None, ConfigError("net.width=4096 needs more memory"), None])
     values = iter([3.0, 2.0])
-    monkeypatch.setattr("symo_exp.job.job._do", lambda *_: next(ends))
+    monkeypatch.setattr("symo_exp.job.job.changed_recordings", lambda *_, **__: next(refusals))
+    monkeypatch.setattr("symo_exp.job.job.is_done", lambda *_: True)
     monkeypatch.setattr("symo_exp.job.job.optimized", lambda *_: next(values))
     assert main([*SEARCH, "learning_rate=choice(1e-2,1e-3)"]) == 0
     assert best(workplace)["best_value"] == 2.0
