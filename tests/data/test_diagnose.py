@@ -86,6 +86,22 @@ def test_motions_contradict_a_wrong_input_matrix_and_no_right_one(mixed: str, no
     assert wrong > 2.0
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_an_input_of_a_coordinate_that_never_moves_contradicts_nothing() -> None:
+    system, clean = motions(2, 5.0, count=20, size=0.5)
+    names, angular = system.coordinates.names, system.coordinates.angular
+    both = Coordinates((names[0], "x", names[1]), (angular[0], False, angular[1]))
+    held = [
+        (np.insert(q, 1, 0.3, axis=1), np.insert(u, 1, u[:, 0] - u[:, 1] ** 2, axis=1))
+        for q, u in clean
+    ]
+    plain = contradiction(clean, system.coordinates, H, np.array(MIXED["coupled"]))
+    matrix = np.insert(np.insert(MIXED["coupled"], 1, 0.0, axis=0), 1, 0.0, axis=1)
+    matrix[1, 1] = 1.0
+    assert plain is not None
+    assert contradiction(held, both, H, matrix) == pytest.approx(plain)
+
+
 def test_one_driven_coordinate_contradicts_no_input_matrix() -> None:
     system, clean = motions(2, 5.0)
     given = [(q, u[:, :1]) for q, u in clean], system.coordinates, H

@@ -735,17 +735,24 @@ def test_angles_that_an_elastic_gear_joins_are_to_be_in_one_scale(ratio, bent, t
     assert all(f"divide {fast} by its ratio, about {round(times)}," in note for note in found)
 
 
-@pytest.mark.parametrize(("place", "step"), [(0.1, 0.005), (0.3, 0.0013), (123.456, 0.0013)])
-def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):
+@pytest.mark.parametrize(
+    ("place", "step", "noise"),
+    [(0.1, 0.005, 0.0), (0.3, 0.0013, 0.0), (123.456, 0.0013, 0.0), (0.1, 0.005, 1e-3)],
+)
+def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(
+    place, step, noise, workplace
+):
     """Between samples at irregular times, they have rounding errors."""
     rng = np.random.default_rng(0)
     t = step * (np.arange(round(20.0 / step)) + 0.1 * rng.random(round(20.0 / step)))
     frame = pd.DataFrame({"t": t, "q_theta": 0.5 * np.sin(3 * t) + 0.2 * np.cos(5 * t)})
     frame.to_csv("alone.csv", index=False)
-    frame.assign(q_x=place).to_csv("mine.csv", index=False)
+    frame.assign(q_x=place + noise * rng.normal(size=len(t))).to_csv("mine.csv", index=False)
     alone, found = examine({"path": "alone.csv"}), examine({"path": "mine.csv"})
     assert (found.time_step, found.units) == (alone.time_step, alone.units)
     assert found.rest_velocity == alone.rest_velocity
+    assert found.explained == pytest.approx(alone.explained, abs=0.01)
+    assert found.horizon == alone.horizon
 
 
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
@@ -121,10 +122,16 @@ def contradiction(
     symmetric at every place. The result is the power of accelerations that a regression with
     symmetric coefficients leaves unexplained over that of one with any coefficients, each over its
     degrees of freedom: about 1 if ``B`` may be right. ``None`` with too few rows, with rotations,
-    or if fewer than two coordinates are driven.
+    or if fewer than two coordinates that move are driven.
     """
+    if coordinates.rotations or not motions:
+        return None
+    moves = moving(motions)  # what holds the others acts on nothing else
+    motions, matrix = [(q[:, moves], u) for q, u in motions], matrix[moves]
+    names, angular = coordinates.names, coordinates.angular
+    coordinates = Coordinates(tuple(compress(names, moves)), tuple(compress(angular, moves)))
     n, driven = coordinates.n, np.flatnonzero(matrix.any(axis=1))
-    if coordinates.rotations or len(driven) < 2:
+    if len(driven) < 2:
         return None
 
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:

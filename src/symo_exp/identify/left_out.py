@@ -57,12 +57,11 @@ def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) 
     """
     if coordinates.rotations:
         return []
-    motions = [(one.label, each) for one in recordings for each in at_nodes([one], h)]
-    pairs = with_inputs([each for _, each in motions], h, 0.0)
-    found = shocks(pairs, coordinates, h)
+    motions = at_nodes(recordings, h)
+    found = shocks(with_inputs(motions, h, 0.0), coordinates, h)
     return [
-        (label, float(nodes[first]), float(nodes[last]))
-        for (label, (_, nodes, _)), runs in zip(motions, found, strict=True)
+        (one.label, float(nodes[first]), float(nodes[last]))
+        for (one, nodes, _), runs in zip(motions, found, strict=True)
         for first, last in runs
     ]
 

@@ -156,7 +156,6 @@ class _Examination:
     starts: dict[str, float] = field(init=False)  # of the trajectories of the table [s]
     header: list[str] = field(init=False)  # names of all columns
     moving: int = field(init=False)  # how many of ``used`` are not at rest
-    still: list[str] = field(init=False)  # lengths and angles that never move
     angles: list[str] = field(init=False)
     space: Coordinates = field(init=False)
     remote: np.ndarray = field(init=False)  # which coordinates are lengths far from zero

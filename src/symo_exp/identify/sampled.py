@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from symo_exp.data.delays import acting_late
+from symo_exp.data.folds import moves
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.table import Recording
 from symo_exp.data.weak import Motion, held_still, quasi_coordinates
@@ -46,8 +47,16 @@ def _around(whole: Samples, samples: Samples) -> Samples:
 
 
 def at_nodes(recordings: Sequence[Recording], h: float) -> list[Sampled]:
-    """Return the recordings at nodes, what never moves exactly constant: roundings vibrate."""
-    held = held_still([(one.samples.q, one.samples.u) for one in recordings])
+    """Return the recordings at nodes, what never moves exactly constant.
+
+    Rounding errors vibrate, and noise beside a motion is none that anything could explain. Where
+    everything seems to be noise, nothing is held.
+    """
+    columns = zip(*(one.samples.q.T for one in recordings), strict=True)
+    motion = np.array([moves(each) for each in columns], dtype=bool)
+    motion |= not motion.any()
+    samples = [one.samples for one in recordings]
+    held = held_still([(np.where(motion, one.q, one.q[0]), one.u) for one in samples])
     motions = []
     for one, (q, _) in zip(recordings, held, strict=True):
         t = one.samples.t

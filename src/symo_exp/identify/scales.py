@@ -142,15 +142,16 @@ def initial_sizes(
 def _units(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> Units:
     """Return units of length and time in which motions are of order one, with SI prefixes.
 
-    Lengths have the prefix nearest to their range, so that logs in m and in mm are learned as the
-    same; with rotations, if it is far from 1 m, since bodies are smaller than their flights. Time
-    has the unit s unless the motion is faster or slower by ``FAR``.
+    Lengths have the prefix nearest to the range of those that move, so that logs in m and in mm are
+    learned as the same; with rotations, if it is far from 1 m, since bodies are smaller than their
+    flights. Time has the unit s unless the motion is faster or slower by ``FAR``.
     """
     if not motions:
         return SI
     count = len(coordinates.flat)
-    lengths = ~np.array(coordinates.angular[:count], dtype=bool)
-    q = np.concatenate([nodes[:, :count] for _, _, nodes in motions])[:, lengths]
+    places = [nodes[:, :count] for _, _, nodes in motions]
+    moves = np.any([np.ptp(q, axis=0) > 0.0 for q in places], axis=0)
+    q = np.concatenate(places)[:, moves & ~np.array(coordinates.angular[:count], dtype=bool)]
     paths = [
         (along_turns(one, coordinates), nodes, quasi_coordinates(q, coordinates))
         for one, nodes, q in motions
