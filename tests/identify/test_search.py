@@ -755,6 +755,27 @@ def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(
     assert found.horizon == alone.horizon
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1.0, ""), (57.3, "57 times"), (-1.0, "-1 times")])
+def test_velocities_that_contradict_the_coordinates_are_told(factor, told, workplace):
+    frame = table()
+    swings = frame.groupby("trajectory").q_theta
+    frame["v_theta"] = factor * swings.transform(lambda q: np.gradient(q, 0.02))
+    frame.to_csv("mine.csv", index=False)
+    found = [note for note in examine({"path": "mine.csv"}).notes if "the slope of" in note]
+    assert len(found) == bool(told)
+    assert all(f"v_theta is {told}" in note and "v_theta: null" in note for note in found)
+
+
+def test_an_input_that_never_acts_is_told_where_a_matrix_is_asked_for(workplace):
+    frame = table()
+    frame["u_left"], frame["u_right"] = np.sin(frame.t), 0.0
+    frame.to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"system\.input_matrix.*u_right is always zero") as error:
+        examine({"path": "mine.csv"})
+    (mend,) = re.findall(r"data\.columns=\{(\w+): null\}", str(error.value))
+    assert examine({"path": "mine.csv", "columns": {mend: None}}).driven
+
+
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
     frame = table(name="shoulder")
     frame["q_elbow"], frame["u_elbow"] = frame.q_shoulder * 0.5, 0.1

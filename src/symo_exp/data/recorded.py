@@ -10,11 +10,10 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from scipy.integrate import cumulative_trapezoid
 from typing_extensions import Unpack, override
 
 from symo_exp.checks import real, whole_number
-from symo_exp.data.advice import Columns, omitting
+from symo_exp.data.advice import Columns
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
 from symo_exp.data.delays import acting_as_given
 from symo_exp.data.diagnose import Diagnosis, diagnose
@@ -26,6 +25,7 @@ from symo_exp.data.paths import Location, shown, titled
 from symo_exp.data.resample import TIME_TOLERANCE, Samples, at_equal_times, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import continuous, refuse_counts, refuse_turns, turned
+from symo_exp.data.velocities import contradicting_velocities
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Trajectory
@@ -201,7 +201,10 @@ class RecordedData(DataModule):
         self._splits = Splits(**found, integration=stacked(rollouts, shortest))
         self._sampled = [recording.samples for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
-            doubts = list(_doubts(coordinates, self._sampled, columns))
+            doubts = [
+                *_wide_swings(coordinates, self._sampled),
+                *contradicting_velocities(coordinates, self._sampled, columns),
+            ]
         read, resampled = _told_read(where, recordings, parts), _told_resampled(parts, h)
         notes = filter(None, (*table.notes, note))
         self._report = [read, *notes, *resampled, *gaps, *doubts]
@@ -312,24 +315,14 @@ def _told_resampled(parts: Parts, h: float) -> list[str]:
     ]
 
 
-def _doubts(
-    coordinates: Coordinates, sampled: Sequence[Samples], columns: Columns | None
-) -> Iterator[str]:
-    """Yield signs of wrong units, a line each; ``columns`` is the setting so far."""
-    velocities = [f"v_{name}" for name in coordinates.names]
+def _wide_swings(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:
+    """Yield a line on each angle that seems to be in degrees."""
     for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
         sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
         if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:
             yield (
                 f"q_{name} swings back and forth by {np.median(sweeps):.3g} rad, more than a turn: "
                 "if angles are in degrees, give data.degrees=true"
-            )
-        ratios = [_ratio(one, i) for one in sampled if one.v is not None]
-        ratio = float(np.median(ratios)) if ratios else 1.0
-        if not 0.2 < ratio < 5.0:
-            yield (
-                f"v_{name} is {ratio:.2g} times the slope of q_{name}: check the signs and units "
-                f"of times and velocities, or leave velocities out, {omitting(velocities, columns)}"
             )
 
 
@@ -338,16 +331,3 @@ def _sweeps(x: np.ndarray) -> np.ndarray:
     turns = np.flatnonzero(np.diff(np.sign(np.diff(x))) != 0) + 1
     sweeps = np.abs(np.diff(x[turns]))
     return np.asarray(sweeps[sweeps > 0.1 * np.ptp(x)])
-
-
-def _ratio(samples: Samples, i: int) -> float:
-    """Return the motion of the integrated velocity relative to that of the configuration.
-
-    It is negative if they go in opposite directions.
-    """
-    assert samples.v is not None
-    t, v = samples.t - samples.t[0], samples.v[:, i]
-    paths = cumulative_trapezoid(v, t, initial=0), samples.q[:, i]
-    moved, q = (x - np.polyval(np.polyfit(t, x, 1), t) for x in paths)
-    ratio = math.copysign(float(np.std(moved) / (np.std(q) or np.nan)), float(moved @ q))
-    return ratio if ratio and math.isfinite(ratio) else 1.0

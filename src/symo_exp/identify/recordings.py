@@ -179,7 +179,7 @@ class _Examination:
         self.notes += self._read_parts(self.time_step, self.space)  # rests depend on the units
         self._tell_rest()
         remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
-        self.notes += remarks.on_coordinates()
+        self.notes += [*remarks.on_coordinates(), *remarks.on_velocities()]
         self.notes += remarks.on_idle_inputs() if self.known is None else ()
         self.notes += remarks.on_units_of_inputs()
         finest = max(one.samples.step for one in (*self.used, *self.test))
@@ -330,7 +330,8 @@ class _Examination:
     def _ask_for_matrix(self) -> None:
         """Refuse inputs of which nothing tells how they drive the coordinates.
 
-        The refusal also says if other coordinates are needed, for which it is another question.
+        The refusal also says if other coordinates are needed, for which it is another question, and
+        which inputs never act.
         """
         if self.angles and self.learned_inputs:  # the machine is more than a body
             self.input_matrix = None
@@ -338,7 +339,8 @@ class _Examination:
             self._system(self.angles or "none")
         except ConfigError as error:
             remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
-            raise ConfigError("; ".join([str(error), *remarks.on_circles()])) from error
+            more = [*remarks.on_circles(), *remarks.on_idle_inputs()]
+            raise ConfigError("; ".join([str(error), *more])) from error
 
     def _read_units(self) -> None:
         """Infer whether angles are in degrees and wrapped.

@@ -14,6 +14,7 @@ from symo_exp.data.naming import is_no_force
 from symo_exp.data.paths import few
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording
+from symo_exp.data.velocities import contradicting_velocities
 from symo_exp.data.weak import ROUNDING
 from symo_exp.identify.circles import circle_of
 from symo_exp.mechanics.types import Coordinates
@@ -143,6 +144,12 @@ class Remarks:
 
     def _noise(self, name: str) -> float:
         return noise_of(self._measured[name])
+
+    def on_velocities(self) -> list[str]:
+        """Return lines on velocities in another unit or direction than lengths and angles."""
+        samples = [one.samples for one in self._recordings]
+        with np.errstate(all="ignore"):  # values that overflow
+            return list(contradicting_velocities(self._space, samples, self._columns))
 
     def on_idle_inputs(self) -> Iterator[str]:
         """Yield lines on inputs that are always zero, and on others that never change."""
