@@ -3,6 +3,7 @@
 import dataclasses
 import multiprocessing
 import os
+import shutil
 import socket
 import sqlite3
 import subprocess
@@ -182,16 +183,25 @@ def test_a_deleted_experiment_is_reported(store):
 
 
 @pytest.mark.parametrize("name", ["first", "second"])
-def test_a_store_that_was_moved_with_its_files_does_not_write_where_it_was(name, tmp_path):
+def test_a_store_that_was_moved_or_copied_does_not_write_where_it_was(name, tmp_path):
     """MLflow keeps absolute paths, of its own experiment and of others."""
     before = find(None, tmp_path / "before")
     for one in ("first", "second"):
         run = connect(before).create_run(experiment_id(before, one))
         connect(before).log_text(run.info.run_id, "text", "file.txt")
     connect.cache_clear()
+    (tmp_path / "link").symlink_to(tmp_path / "before")
+    assert experiment_id(find(None, tmp_path / "link"), name)
+
+    def refused_at(place):
+        with pytest.raises(ConfigError, match=f"write files to {tmp_path}/before.*directory="):
+            experiment_id(find(None, tmp_path / place), name)
+
+    shutil.copytree(tmp_path / "before", tmp_path / "copy")
+    refused_at("copy")
     (tmp_path / "before").rename(tmp_path / "after")
-    with pytest.raises(ConfigError, match=f"would write files to {tmp_path}/before.*directory="):
-        experiment_id(find(None, tmp_path / "after"), name)
+    refused_at("after")
+    refused_at("copy")
     (tmp_path / "after").rename(tmp_path / "before")
     assert experiment_id(before, name)
 

@@ -205,7 +205,8 @@ def connect(store: Store) -> MlflowClient:
 
 def _reason(error: Exception, store: Store) -> str:
     """Return what MLflow or a database says, of another version with the command for this store."""
-    return first_line(error).partition(" NOTE: ")[0].replace("<database_uri>", str(store))
+    told = first_line(error).partition(" NOTE: ")[0].rstrip(".")
+    return told.replace("<database_uri>", str(store))
 
 
 def connect_existing(store: Store, mend: str) -> MlflowClient:
@@ -257,8 +258,8 @@ def experiment_id(store: Store, name: str) -> str:
         )
     if _was_moved(store, Path(str(found.artifact_location))):
         raise ConfigError(
-            f"{store} was moved here, and MLflow would write files to {found.artifact_location}: "
-            f"move it back, or give {NEW_STORE}"
+            f"{store} was moved or copied here, and MLflow would write files to "
+            f"{found.artifact_location}: move it back, or give {NEW_STORE}"
         )
     return str(found.experiment_id)
 
@@ -267,8 +268,9 @@ def _was_moved(store: Store, kept: Path) -> bool:
     """Return whether the folder that MLflow keeps by its absolute path now is beside the store."""
     if store.database is None or store.artifacts is None or not kept.is_absolute():
         return False
-    here = [Path(store.artifacts, *parts) for parts in ((), (kept.name,))]
-    return not kept.exists() and any(one.name == kept.name and one.is_dir() for one in here)
+    possible = [Path(store.artifacts, *parts) for parts in ((), (kept.name,))]
+    here = [one for one in possible if one.name == kept.name and one.is_dir()]
+    return bool(here) and not any(kept.exists() and one.samefile(kept) for one in here)
 
 
 def _is_unused(client: MlflowClient, store: Store) -> bool:
