@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from torch import nn
 
 import symo_exp
 from symo_exp import code
@@ -16,6 +17,10 @@ from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.job.parts import build, make
 from symo_exp.job.recipe import perform
+from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.learned import learned_lagrangian
 from symo_exp.runs.folder import About
 from tests import pages
 from tests.jobs import job_of, planned, refusal
@@ -260,6 +265,52 @@ def test_a_mistake_in_a_dissipation_is_refused_before_anything_starts(
         sweep.check(jobs)
     told = refusal(*words, f"dissipation={name}")
     assert re.search(said, told)
+
+
+class Bodies(nn.Module, Lagrangian):
+    """A constant inertia without a potential."""
+
+    def __init__(self, *, coordinates):
+        super().__init__()
+        self.root = nn.Parameter(torch.ones(coordinates.n, coordinates.n))
+
+    def mass_matrix(self, q):
+        return (self.root @ self.root.T).expand(len(q), -1, -1)
+
+    def potential(self, q):
+        return 0.0 * q.sum(1)
+
+
+class Uneven(Bodies):
+    def mass_matrix(self, q):
+        return self.root.triu().expand(len(q), -1, -1)
+
+
+class Fixed(Bodies):
+    def __init__(self, *, coordinates):
+        nn.Module.__init__(self)
+        self.root = torch.eye(coordinates.n)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [(Uneven, "mass_matrix.* is not symmetric"), (Fixed, "no parameters to train; .*nn.Parameter")],
+)
+def test_a_lagrangian_that_cannot_be_learned_is_refused(kind, said):
+    coordinates = Coordinates(("x", "y"), (False, False))
+    learned_lagrangian(coordinates, Bodies, None, None)
+    with pytest.raises(ConfigError, match=f"{kind.__name__}.*{said}"):
+        learned_lagrangian(coordinates, kind, None, None)
+
+
+def test_a_dissipation_that_adds_energy_is_refused():
+    class Motor(Dissipation):
+        def force(self, q, v):
+            return 0.5 * v
+
+    coordinates = Coordinates(("x", "y"), (False, False))
+    with pytest.raises(ConfigError, match=r"Motor.force\(q, v\) adds energy"):
+        learned_lagrangian(coordinates, Bodies, lambda coordinates: Motor(), None)
 
 
 @pytest.mark.parametrize(

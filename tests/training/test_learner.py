@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from symo_exp.errors import ConfigError
 from symo_exp.models.objectives import Objective, Residuals
-from symo_exp.optim.base import minibatches
+from symo_exp.optim.base import EpochOptimizer, minibatches
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.training.checkpoint import Checkpoint
@@ -42,6 +43,20 @@ def test_metrics_of_an_epoch_are_those_of_its_steps(tmp_path):
     *_, expected = [minibatches(optimizer, twin, batches[0])["train_loss"] for _ in range(2)]
     assert told["train_loss"] == float(expected)
     assert model.steps == 4
+
+
+class Silent(EpochOptimizer):
+    """An optimiser of a user's own that does not return its loss."""
+
+    def epoch(self, model, batches):
+        return None
+
+
+def test_an_optimiser_that_returns_no_loss_is_named(tmp_path):
+    model = learner("symo", "midpoint", 2, optimizer=partial(Silent, patience=1))
+    loader = torch.utils.data.DataLoader([[windows(2, 4)]], batch_size=None)
+    with pytest.raises(ConfigError, match=r"Silent\.epoch returns None: expected .*train_loss"):
+        quiet_trainer(1, tmp_path).fit(model, loader)
 
 
 SECOND_ORDER = partial(LevenbergMarquardt, patience=1)

@@ -119,7 +119,7 @@ def _optimizer(learner: Any, accelerator: str) -> Any:
         (optimizer,), schedulers = learner.configure_optimizers()
     except ConfigError:
         raise
-    except (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError) as error:
+    except Exception as error:  # the optimiser may be a user's
         raise ConfigError(
             f"optimizer or scheduler: {first_line(error)}{place_in_code(error)}"
         ) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from symo_exp.checks import instance
 from symo_exp.errors import ConfigError
@@ -16,6 +16,9 @@ from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
+
+ROUNDING = 1e-5
+"""Relative differences that are due to single precision."""
 
 
 @runtime_checkable
@@ -72,7 +75,7 @@ def learned_lagrangian(
 
 
 def _check(lagrangian: object, coordinates: Coordinates) -> None:
-    """Refuse a Lagrangian that has no parameters to train, or terms of a wrong shape."""
+    """Refuse a Lagrangian that has no parameters to train, or terms that cannot be right."""
     kind, space, n = type(lagrangian).__name__, coordinates.space, coordinates.n
     if not isinstance(lagrangian, nn.Module) or not isinstance(lagrangian, Lagrangian):
         raise ConfigError(
@@ -84,15 +87,28 @@ def _check(lagrangian: object, coordinates: Coordinates) -> None:
             f"lagrangian: {kind}.space is {lagrangian.space}, and that of the system is {space}; "
             "define a property space that returns coordinates.space"
         )
+    if not any(True for _ in lagrangian.parameters()):
+        raise ConfigError(
+            f"lagrangian: {kind} has no parameters to train; assign them as torch.nn.Parameter"
+        )
     with torch.no_grad():
-        evaluated(lagrangian, space.of_vector(torch.zeros(n + 2, n)), n)
+        mass = evaluated(lagrangian, space.of_vector(_points(n)), n)["mass_matrix"]
+    if (mass - mass.mT).abs().max() > ROUNDING * mass.abs().max():
+        raise ConfigError(f"{kind}.mass_matrix(q) is not symmetric")
 
 
 def _check_dissipation(dissipation: Any, coordinates: Coordinates) -> None:
-    """Refuse a dissipation whose force has a wrong shape."""
+    """Refuse a dissipation whose force has a wrong shape, or adds energy."""
     instance("dissipation", dissipation, Dissipation)
-    v = torch.zeros(coordinates.n + 2, coordinates.n)
+    v = _points(coordinates.n)
     told = f"{type(dissipation).__name__}.force(q, v)"
     with torch.no_grad():
         found = returned(told, dissipation.force, coordinates.space.of_vector(v), v)
     checked_tensor(told, found, tuple(v.shape), v.dtype, f"v of shape {tuple(v.shape)}")
+    if (v * found).sum(1).max() > ROUNDING * found.abs().max():
+        raise ConfigError(f"{told} adds energy: expected v * force <= 0, summed over coordinates")
+
+
+def _points(n: int) -> Tensor:
+    """Return rows of numbers around zero; there are more rows than columns."""
+    return torch.linspace(-1.0, 1.0, (n + 2) * n).view(n + 2, n)

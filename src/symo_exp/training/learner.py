@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import lightning
@@ -16,6 +16,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from typing_extensions import override
 
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.types import TrainingSamples, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import Objective, Statistics
@@ -162,6 +163,12 @@ class Learner(lightning.LightningModule):
             whole = optimizer.reads_trajectories
             given = self._data.trajectories("train") if whole else batches
             results = optimizer.epoch(self, given)
+            if not isinstance(results, Mapping) or "train_loss" not in results:
+                kind = type(optimizer).__name__
+                raise ConfigError(
+                    f"{kind}.epoch returns {shortened(results, 60)}: expected a dictionary with "
+                    "train_loss, the loss at the start of the epoch"
+                )
             self.trainer.should_stop |= optimizer.finished
         else:
             results = minibatches(optimizer, self, batches)
