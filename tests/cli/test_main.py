@@ -43,6 +43,8 @@ BAD = [
     ("gradient_clip=1", "gradient_clip", "write learner.gradient_clip="),
     ("model.width=1", "model.width", "write net.width="),
     ("optimizer.betas=[0.9,0.99]", "optimizer.betas", "write +optimizer.betas="),
+    ("data.path=a.csv", "data.path is not a setting", "it belongs to data=recorded"),
+    ("model=node model.inputs=learned", "model.inputs", "it belongs to model=symo"),
     ("preset=joints optimizer=lbfgs", "LBFGS does not", "~optimizer.shortest ~optimizer.huber"),
     ("preset=thesis lagrangian=known", "lagrangian.initial_inertia", "KnownLagrangian does not"),
     # choices

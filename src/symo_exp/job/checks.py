@@ -9,6 +9,7 @@ import json
 import math
 import os
 import pkgutil
+import re
 import tempfile
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -26,6 +27,7 @@ from symo_exp.errors import ConfigError, shortened
 from symo_exp.job.config import PARTS, Settings
 from symo_exp.job.moved import MOVED
 from symo_exp.shell import override_value
+from symo_exp.shipped import CONF
 
 KINDS = {
     "system": "symo_exp.systems.base.System", "model": "symo_exp.models.base.DynamicsModel"
@@ -172,9 +174,18 @@ def unknown_key(name: str, there: Mapping[str, Any], maker: str | None = None) -
     if not hint:
         which = f"{parent} has" if parent else "there are"
         hint = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
+        if others := _choices_with(parent, leaf):
+            hint = f"; it belongs to {' and '.join(others)}"
         if maker is not None:
             hint += f"; if {maker} takes it, write +{name}=..."
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
+
+
+def _choices_with(group: str, key: str) -> list[str]:
+    """Return the shipped choices of a group whose files have a setting, as overrides."""
+    files = sorted((CONF / group).glob("*.yaml")) if group else []
+    own = re.compile(rf"^{re.escape(key)}:", re.MULTILINE)
+    return [f"{group}={file.stem}" for file in files if own.search(file.read_text("utf-8"))]
 
 
 def did_you_mean(
