@@ -170,7 +170,7 @@ def test_a_setting_that_all_candidates_refuse_is_one_error(word, workplace, caps
 def test_the_recordings_of_the_test_part_are_named(workplace):
     table(count=4, seconds=6.0).to_csv("mine.csv", index=False)
     (said,) = [note for note in examine({"path": "mine.csv"}).notes if "for the test" in note]
-    assert said == "recordings: 3 to choose and train models, for the test 3"
+    assert said == "recordings: 3 to choose and train models; for the test: 3"
 
 
 @pytest.mark.parametrize("gap", [0.0, 1.0, 1e5])

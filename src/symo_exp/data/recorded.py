@@ -309,9 +309,10 @@ def _told_resampled(parts: Parts, h: float) -> list[str]:
     usual = sorted(samples.step for samples in resampled)
     rate = f"{usual[0]:.5g}" + (f" to {usual[-1]:.5g}" if usual[-1] > 1.01 * usual[0] else "")
     largest = max(float(np.diff(samples.t).max()) for samples in resampled)
+    inputs = "; inputs averaged over a step" * bool(used[0].u.shape[1])
     return [
         f"resampled: {len(resampled)} of {len(used)} trajectories from {rate} s (the longest "
-        f"gap {largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
+        f"gap {largest:.3g} s) to {h:g} s, by local cubics{inputs}"
     ]
 
 

@@ -298,7 +298,7 @@ class _Examination:
         self.used, self.test = [*parts["train"], *parts["val"]], parts["test"]
         if note is None:
             count, tested = len(self.used), few([one.label for one in self.test])
-            note = f"recordings: {count} to choose and train models, for the test {tested}"
+            note = f"recordings: {count} to choose and train models; for the test: {tested}"
         return [*table.notes, note]
 
     def _tell_rest(self) -> None:
