@@ -30,7 +30,7 @@ def one_line(error: BaseException) -> str:
     """Return the message of an error, with that of its cause where it adds something."""
     cause = error.__cause__
     text = str(error)
-    if not isinstance(error, ConfigError) and cause is not None and str(cause) not in text:
+    if not isinstance(error, ConfigError) and cause is not None and first_line(cause) not in text:
         text = f"{text}: {cause}"
     return " ".join(text.split())
 

@@ -193,11 +193,11 @@ def written(x: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in a suitable unit: ``108 s``, ``4 h``."""
+    """Return a duration in a suitable unit: ``0.26 s``, ``80 s``, ``4 h``."""
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:
             return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
+    return f"{seconds:.0f} s" if seconds >= 10.0 else f"{seconds:.2g} s"
 
 
 def number(x: float) -> str:
