@@ -134,7 +134,8 @@ def test_a_rotation_vector_of_any_length_is_a_rotation(size: float) -> None:
 
 
 def test_derivatives_of_the_inverse_are_finite_and_right_at_the_identity() -> None:
-    for phi in (torch.zeros(1, 3).double(), drawn(3, rows=1), drawn(3, rows=1, scale=1e-5)):
+    for size in (0.0, 1e-8, 1e-5, 1.0):
+        phi = drawn(3, rows=1, scale=size)
         assert torch.autograd.gradcheck(
             lambda x: rotation_vector(exponential(x)), phi.requires_grad_()
         )

@@ -208,13 +208,14 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         (_, vq, qv), mass, by_q = slopes
         middle, chart = self.middle, self.middle.chart
         space, n = chart.space, middle.v.shape[1]
-        moment = by_q @ moved + qv * rate
+        moment = torch.baddbmm(qv * rate, by_q, moved)
         turned = moment
-        last = (0.5 * middle.h) * (chart.jacobian.mT @ moment) + vq @ moved + mass * rate
+        last = torch.baddbmm(mass * rate, vq, moved)
+        last = torch.baddbmm(last, chart.jacobian.mT, moment, alpha=0.5 * middle.h)
         if bend:
-            last = last + (0.25 * middle.h) * chart.momentum_slope(self.moment)
+            last = torch.add(last, chart.momentum_slope(self.moment), alpha=0.25 * middle.h)
             blocks = space.blocks(cross(space.vectors(self.moment)), n, 0.0)
-            turned = turned - blocks @ moved
+            turned = torch.baddbmm(turned, blocks, moved, alpha=-1.0)
         return last, middle.h * (chart.turn @ turned)
 
     def _by_end(self, slopes: tuple[Curvature, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
@@ -222,4 +223,5 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         middle, ends = self.middle, self.middle.ends
         last, turned = self._along(slopes, 0.5 * middle.chart.jacobian, 1.0 / middle.h, bend=True)
         start_slope, end_slope = ends.slopes(middle.last(self.moment, self.at.values.v))
-        return turned - ends.inverse @ last - start_slope, ends.inverse.mT @ last + end_slope
+        first = torch.baddbmm(turned - start_slope, ends.inverse, last, alpha=-1.0)
+        return first, torch.baddbmm(end_slope, ends.inverse.mT, last)

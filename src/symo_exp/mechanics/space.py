@@ -95,7 +95,7 @@ class ExponentialMap(NamedTuple):
     def inverse_of_twice_slope(self, x: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3 3"]:
         """Return ``∂(Jr(2φ)⁻¹ x)/∂φ``."""
         g = (self.a - self.b) / self.sinc
-        g1 = (self.a1 - self.b1) / self.sinc + 0.5 * g.square()
+        g1 = torch.addcmul((self.a1 - self.b1) / self.sinc, g, g, value=0.5)
         return self._slope(cross(x), 1.0, g, g1 * torch.bmm(self.square, x.unsqueeze(-1)))
 
     def jacobian_bend(
@@ -121,7 +121,8 @@ class ExponentialMap(NamedTuple):
     ) -> Float[Tensor, "rows 3 3"]:
         """Return ``I + f [φ] + g [φ]²``."""
         one, _ = _constants(self.phi.dtype, self.phi.device)
-        return torch.addcmul(one + first * self.hat, second, self.square)
+        along = torch.addcmul(one, first, self.hat) if isinstance(first, Tensor) else one + self.hat
+        return torch.addcmul(along, second, self.square)
 
     def _slope(
         self,
@@ -136,7 +137,11 @@ class ExponentialMap(NamedTuple):
         the bracket at the end.
         """
         square = torch.baddbmm(torch.bmm(turned, self.hat), self.hat, turned, alpha=-2.0)
-        fixed = second * square - first * turned
+        even = second * square
+        if isinstance(first, Tensor):
+            fixed = torch.addcmul(even, first, turned, value=-1.0)
+        else:
+            fixed = torch.add(even, turned, alpha=-first)
         return torch.baddbmm(fixed, change, self.phi.unsqueeze(-2), alpha=2.0)
 
 
@@ -184,7 +189,7 @@ class Space:
             return q
         flat, turn = self._split(q)
         relative = self._split(base)[1].mT @ turn
-        return torch.cat((flat, rotation_vector(relative).flatten(-2)), dim=-1)
+        return joined(flat, rotation_vector(relative).flatten(-2))
 
     def point(
         self, base: Float[Tensor, "*batch N"], x: Float[Tensor, "*batch n"]
@@ -200,14 +205,14 @@ class Space:
     ) -> Float[Tensor, "*batch N"]:
         """Return ``point`` where ``turn``, ``exp φ``, is known."""
         flat, turned = self._parts(x)[0], self._split(base)[1] @ turn
-        return torch.cat((flat, turned.flatten(-3)), dim=-1)
+        return joined(flat, turned.flatten(-3))
 
     def origin(self, base: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return the coordinates of ``base`` in its own chart."""
         if not self.rotations:
             return base
         flat = base[..., : base.shape[-1] - 9 * self.rotations]
-        return torch.cat((flat, base.new_zeros(*base.shape[:-1], 3 * self.rotations)), dim=-1)
+        return joined(flat, base.new_zeros(*base.shape[:-1], 3 * self.rotations))
 
     def retract(
         self, q: Float[Tensor, "*batch N"], step: Float[Tensor, "*batch n"]
@@ -251,7 +256,7 @@ class Space:
         long = size > TURN
         size = torch.where(long, size, 1.0)
         whole = torch.where(long, TURN * (size / TURN).round(), 0.0)
-        return torch.cat((flat, exponential(phi * (1.0 - whole / size)).flatten(-3)), dim=-1)
+        return joined(flat, exponential(phi * (1.0 - whole / size)).flatten(-3))
 
     def of_quaternions(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and quaternions, the scalar first."""
@@ -259,14 +264,14 @@ class Space:
             return x
         flat = x.shape[-1] - 4 * self.rotations
         turn = of_quaternion(x[..., flat:].unflatten(-1, (self.rotations, 4)))
-        return torch.cat((x[..., :flat], turn.flatten(-3)), dim=-1)
+        return joined(x[..., :flat], turn.flatten(-3))
 
     def to_quaternions(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch K"]:
         """Return flat coordinates and quaternions of configurations."""
         if not self.rotations:
             return q
         flat, turn = self._split(q)
-        return torch.cat((flat, quaternion(turn).flatten(-2)), dim=-1)
+        return joined(flat, quaternion(turn).flatten(-2))
 
     def along(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
         """Return the nodes of motions in the charts at their first ones."""
@@ -296,7 +301,7 @@ class Space:
         roll = torch.atan2(turn[..., 2, 1], turn[..., 2, 2])
         pitch = -torch.asin(turn[..., 2, 0].clamp(-1.0, 1.0))
         yaw = torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
-        return torch.cat((flat, torch.stack((roll, pitch, yaw), -1).flatten(-2)), dim=-1)
+        return joined(flat, torch.stack((roll, pitch, yaw), -1).flatten(-2))
 
     def rotates(self, q: Float[Tensor, "*batch N"]) -> Bool[Tensor, "*batch"]:
         """Return which configurations have rotation matrices, up to ``LOOSE``."""
@@ -313,7 +318,7 @@ class Space:
         sign = torch.ones_like(turn[..., 0])
         sign[..., 2] = torch.linalg.det(left @ right)
         nearest = (left * sign.unsqueeze(-2)) @ right
-        return torch.cat((flat, nearest.flatten(-3)), dim=-1)
+        return joined(flat, nearest.flatten(-3))
 
     # Velocities and gradients
 
@@ -325,7 +330,7 @@ class Space:
             return v
         flat, omega = self._parts(v)
         rate = self._split(q)[1] @ cross(omega)
-        return torch.cat((flat, rate.flatten(-3)), dim=-1)
+        return joined(flat, rate.flatten(-3))
 
     def velocity(
         self, q: Float[Tensor, "*batch N"], rate: Float[Tensor, "*batch N"]
@@ -334,7 +339,7 @@ class Space:
         if not self.rotations:
             return rate
         flat, omega = self._parts(self.pull(q, rate))
-        return torch.cat((flat, 0.5 * omega.flatten(-2)), dim=-1)
+        return joined(flat, 0.5 * omega.flatten(-2))
 
     def pull(
         self, q: Float[Tensor, "*batch N"], gradient: Float[Tensor, "*batch N"]
@@ -343,7 +348,7 @@ class Space:
         if not self.rotations:
             return gradient
         flat, by_turn = self._split(gradient)
-        return torch.cat((flat, torques(self._split(q)[1], by_turn).flatten(-2)), dim=-1)
+        return joined(flat, torques(self._split(q)[1], by_turn).flatten(-2))
 
     def chart_rate(
         self, x: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
@@ -354,7 +359,7 @@ class Space:
         flat, omega = self._parts(v)
         inverse = ExponentialMap.of(0.5 * self.vectors(x)).inverse_of_twice()
         rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], 3 * self.rotations)
-        return torch.cat((flat, rate), dim=1)
+        return joined(flat, rate)
 
     def coadjoint(
         self, v: Float[Tensor, "batch n"], p: Float[Tensor, "batch n"]
@@ -364,7 +369,7 @@ class Space:
             return torch.zeros_like(p)
         (flat, omega), (_, spin) = self._parts(v), self._parts(p)
         turning = torch.linalg.cross(omega, spin)
-        return torch.cat((torch.zeros_like(flat), turning.flatten(1)), dim=1)
+        return joined(torch.zeros_like(flat), turning.flatten(1))
 
     # Parts
 
@@ -417,6 +422,13 @@ def space_of(q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]) -> Spac
     return Space((q.shape[-1] - v.shape[-1]) // 6)
 
 
+def joined(
+    flat: Float[Tensor, "*batch a"], rest: Float[Tensor, "*batch b"]
+) -> Float[Tensor, "*batch a+b"]:
+    """Return what belongs to flat coordinates, if there are any, and to rotations."""
+    return torch.cat((flat, rest), dim=-1) if flat.shape[-1] else rest
+
+
 def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Return ``[x]``, the matrix of ``x ×``."""
     return (x @ _constants(x.dtype, x.device)[1]).view(*x.shape, 3)
@@ -445,23 +457,27 @@ def exponential(phi: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 
 
 def rotation_vector(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
-    """Return ``φ`` with ``exp [φ]`` the rotation and ``|φ| ≤ π``, smooth at the identity."""
-    w, v = quaternion(turn).split((1, 3), dim=-1)
-    size2 = v.square().sum(-1, keepdim=True)
-    small = size2 < 1e-3 * w.square()
-    t2 = torch.where(small, size2, 0.0) / torch.where(small, w.square(), 1.0)
-    series = 1.0 + t2 * (
-        -1 / 3 + t2 * (1 / 5 + t2 * (-1 / 7 + t2 * (1 / 9 + t2 * (-1 / 11 + t2 * (1 / 13)))))
-    )
-    size = torch.where(small, 1.0, size2).sqrt()
-    factor = torch.where(
-        small, 2.0 * series / torch.where(small, w, 1.0), 2.0 * torch.atan2(size, w) / size
-    )
-    return factor * v
+    """Return ``φ`` with ``exp [φ]`` the rotation and ``|φ| ≤ π``, smooth at the identity.
+
+    That is ``2 atan2(|v|, w) v / |v|`` of a quaternion ``(w, v)`` of any length. Where ``|v|`` is
+    small, with any other number as small for it the factor of ``v`` is the same to rounding.
+    """
+    w, v = _quaternion(turn).split((1, 3), dim=-1)
+    least = 4.0 * torch.finfo(turn.dtype).eps
+    size = v.square().sum(-1, keepdim=True).clamp_min(least).sqrt()
+    factor = 2.0 * torch.atan2(size, w.abs()) / size
+    return torch.where(w < 0, -factor, factor) * v
 
 
 def quaternion(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
-    """Return the unit quaternion ``(w, x, y, z)``, ``w ≥ 0``, of a rotation.
+    """Return the unit quaternion ``(w, x, y, z)``, ``w ≥ 0``, of a rotation."""
+    found = _quaternion(turn)
+    found = torch.where(found[..., :1] < 0, -found, found)
+    return found / found.norm(dim=-1, keepdim=True)
+
+
+def _quaternion(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+    """Return a quaternion of a rotation, of either sign and a length from 2 to 4.
 
     It is a column of ``4 q qᵀ``, which is linear in the rotation, the one with the largest
     diagonal entry (Shepperd 1978).
@@ -470,9 +486,7 @@ def quaternion(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     table = rows.unflatten(-1, (4, 4)) + torch.eye(4, dtype=turn.dtype, device=turn.device)
     place = table.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
     index = place[..., None, None].expand(*place.shape, 4, 1)
-    column = table.gather(-1, index).squeeze(-1)
-    column = torch.where(column[..., :1] < 0, -column, column)
-    return column / column.norm(dim=-1, keepdim=True)
+    return table.gather(-1, index).squeeze(-1)
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import NamedTuple
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.space import Space, cross, torques
+from symo_exp.mechanics.space import Space, cross, joined, torques
 from symo_exp.mechanics.types import Coordinates
 
 
@@ -78,6 +79,8 @@ class Embedding(nn.Module):
     @override
     def forward(self, q: Float[Tensor, "batch N"]) -> Features:
         flat, entries = self._parts(q, 9)
+        if not self._flat:
+            return Features(entries, torch.ones_like(entries))
         owned = self._spread(flat)
         r = owned[:, : self._straight]
         phi = owned[:, self._straight : self._straight + self._angles]
@@ -95,18 +98,18 @@ class Embedding(nn.Module):
         if not self.space.rotations:
             return features.dx * self._spread(direction)
         flat, turning = self._parts(direction, 3)
-        along = torch.cat((self._spread(flat), turning), dim=1)
+        along = joined(self._spread(flat), turning)
         return features.dx * self.space.push(features.x, along)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
         """Return ``s_q eᵢ`` for every coordinate ``i``."""
-        flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
-        if not self.space.rotations:
-            return flat
-        entries = self.space.rotation_matrices(features.x).flatten(-2) @ self.spin
-        for block in entries.unflatten(-1, (3, 9)).unbind(1):
-            flat = block_diagonal(flat, block)
-        return flat
+        blocks = []
+        if self._flat:
+            blocks.append(features.dx[:, : self._flat].unsqueeze(1) * self.selection.T)
+        if self.space.rotations:
+            entries = self.space.rotation_matrices(features.x).flatten(-2) @ self.spin
+            blocks += entries.unflatten(-1, (3, 9)).unbind(1)
+        return reduce(block_diagonal, blocks)
 
     def to_coordinates(
         self, features: Features, cotangent: Float[Tensor, "batch features"]
@@ -115,9 +118,11 @@ class Embedding(nn.Module):
         if not self.space.rotations:
             return (features.dx * cotangent) @ self.selection
         first = slice(self._flat)
-        own = (features.dx[:, first] * cotangent[:, first]) @ self.selection
+        own = cotangent[:, first]
+        if self._flat:
+            own = (features.dx[:, first] * own) @ self.selection
         turns, by_turn = map(self.space.rotation_matrices, (features.x, cotangent))
-        return torch.cat((own, torques(turns, by_turn).flatten(1)), dim=1)
+        return joined(own, torques(turns, by_turn).flatten(1))
 
     def to_stored(
         self,
@@ -151,21 +156,19 @@ class Embedding(nn.Module):
 
         Those of ``⟨C, R⟩`` are ``M − (tr M) I`` with ``M = Rᵀ C``.
         """
-        own = features.x[:, : self._flat] * self.bend * cotangent[:, : self._flat]
-        if self.turn is None:
-            flat = torch.diag_embed(own @ self.selection)
-        else:
-            flat = (self.selection.T * own.unsqueeze(1)) @ self.selection
-        if not self.space.rotations:
-            return flat
-        moment = self.space.rotation_matrices(features.x).mT @ self.space.rotation_matrices(
-            cotangent
-        )
-        trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-        blocks = moment - trace * torch.eye(3, dtype=moment.dtype, device=moment.device)
-        for block in blocks.unbind(1):
-            flat = block_diagonal(flat, block)
-        return flat
+        blocks = []
+        if self._flat:
+            own = features.x[:, : self._flat] * self.bend * cotangent[:, : self._flat]
+            if self.turn is None:
+                blocks.append(torch.diag_embed(own @ self.selection))
+            else:
+                blocks.append((self.selection.T * own.unsqueeze(1)) @ self.selection)
+        if self.space.rotations:
+            turns, by_turn = map(self.space.rotation_matrices, (features.x, cotangent))
+            moment = turns.mT @ by_turn
+            trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
+            blocks += (moment - torch.diag_embed(trace.expand(*trace.shape[:-1], 3))).unbind(1)
+        return reduce(block_diagonal, blocks)
 
     def _parts(self, x: Float[Tensor, "batch k"], size: int) -> tuple[Tensor, Tensor]:
         """Return what belongs to lengths and angles, and the ``size`` numbers of each rotation."""
@@ -182,8 +185,6 @@ def block_diagonal(
     first: Float[Tensor, "batch a b"], second: Float[Tensor, "batch c d"]
 ) -> Float[Tensor, "batch a+c b+d"]:
     """Return block diagonal matrices of two blocks."""
-    if first.shape[1] == first.shape[2] == 0:
-        return second
     above = nn.functional.pad(first, (0, second.shape[2]))
     return torch.cat((above, nn.functional.pad(second, (first.shape[2], 0))), dim=1)
 
