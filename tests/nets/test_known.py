@@ -42,10 +42,41 @@ class Careless(LagrangianSystem):
         return self.mass * q[:, 0]
 
 
-def test_a_system_that_loses_its_derivatives_is_refused():
+@dataclass(frozen=True, kw_only=True)
+class Assigned(Careless):
+    """A system that sets the entries of a new tensor, which belongs to no sample."""
+
+    def mass_matrix(self, q):
+        mass = torch.zeros(len(q), 1, 1).to(q)
+        mass[:, 0, 0] = self.mass * q[:, 0].cosh()
+        return mass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Set(Careless):
+    """The same in a tensor like those of the samples."""
+
+    def mass_matrix(self, q):
+        mass = q.new_zeros(len(q), 1, 1)
+        mass[:, 0, 0] = self.mass * q[:, 0].cosh()
+        return mass
+
+
+@pytest.mark.parametrize(
+    ("kind", "mend"),
+    [
+        (Careless, r"torch\.ones_like"),
+        (Assigned, r"\(test_known.py, line \d+\).* q.new_zeros"),
+        (Set, None),
+    ],
+)
+def test_a_system_that_loses_its_derivatives_is_refused(kind, mend):
     box = {"q": [[-1, 1]], "v": [[-1, 1]], "u": [[-1, 1]]}
-    system = Careless(mass=2.0, time_step=0.1, box=box)
-    with pytest.raises(ConfigError, match=r"torch\.ones_like"):
+    system = kind(mass=2.0, time_step=0.1, box=box)
+    if mend is None:
+        KnownLagrangian(system=system)
+        return
+    with pytest.raises(ConfigError, match=mend):
         KnownLagrangian(system=system)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.checks import real
-from symo_exp.errors import ConfigError, shortened
+from symo_exp.errors import ConfigError, place_in_code, shortened
 from symo_exp.mechanics.dissipation import Dissipation, chord_excess
 from symo_exp.mechanics.lagrangian import (
     Curvature,
@@ -145,14 +145,25 @@ class KnownLagrangian(nn.Module, Lagrangian):
         """Return a function of the system with the present constants and of ``state``."""
         if not by_sample():
             return function(self.system.with_constants(self.constants()), *state)
+        batch = state[0].shape[0]
+        parameters = repeated(self.logarithms, batch), repeated(self.factors, batch)
+        return self._by_row(function, *parameters, *state)
+
+    def _by_row(
+        self, function: Callable[..., tuple[Tensor, ...]], *given: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Return a function of the system whose constants differ from row to row.
+
+        Args:
+            function: The function.
+            given: Parameters, and the state, in each row.
+        """
 
         def of_one(logarithms: Tensor, factors: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
             twin = self.system.with_constants(self._values(logarithms, factors))
             return tuple(x.squeeze(0) for x in function(twin, *(x.unsqueeze(0) for x in state)))
 
-        batch = state[0].shape[0]
-        parameters = repeated(self.logarithms, batch), repeated(self.factors, batch)
-        found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*parameters, *state)
+        found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*given)
         return found
 
     @torch.enable_grad()
@@ -183,23 +194,30 @@ class KnownLagrangian(nn.Module, Lagrangian):
         q, *_ = self.system.points(4, seed=0)
         split = [len(self.logarithms), len(self.factors)]
 
-        def total(flat: Tensor) -> Tensor:
-            mass, potential = self.system.with_constants(self._values(*flat.split(split))).terms(q)
+        def by_row(flat: Tensor) -> Tensor:
+            rows = (x.expand(len(q), -1) for x in flat.split(split))
+            return total(*self._by_row(lambda at, q: at.terms(q), *rows, q))
+
+        def by_all(flat: Tensor) -> Tensor:
+            return total(*self.system.with_constants(self._values(*flat.split(split))).terms(q))
+
+        def total(mass: Tensor, potential: Tensor) -> Tensor:
             weight = torch.arange(1.0, 1.0 + mass[0].numel()).to(mass).view_as(mass[0]).cos()
             return (mass * weight).sum() + potential.sum()
 
         try:
             with torch.enable_grad():
                 at = flat.clone().requires_grad_()
-                value = total(at)
+                value = by_row(at)
                 gradient = (
                     torch.autograd.grad(value, at)[0] if value.requires_grad else flat.clone()
                 )
         except (RuntimeError, TypeError) as error:
-            raise ConfigError(self._complaint(shortened(error, 200))) from error
+            reason = f"{shortened(error, 200)}{place_in_code(error)}"
+            raise ConfigError(self._complaint(reason)) from error
         with torch.no_grad():
             steps = SHIFT * torch.eye(len(flat), dtype=torch.float64)
-            slopes = [(total(flat + s) - total(flat - s)) / (2.0 * SHIFT) for s in steps]
+            slopes = [(by_all(flat + s) - by_all(flat - s)) / (2.0 * SHIFT) for s in steps]
             size = max(float(value.detach().abs()), float(gradient.abs().max()), 1e-12)
             apart = float((torch.stack(slopes) - gradient).abs().max())
         if not apart <= AGREEMENT * size:
@@ -209,7 +227,8 @@ class KnownLagrangian(nn.Module, Lagrangian):
         return (
             f"lagrangian=known: {type(self.system).__name__} cannot be differentiated in its "
             f"constants ({reason}); write its equations in tensor operations, e.g. "
-            "`constant * torch.ones_like(q)` for torch.full_like(q, constant)"
+            "`constant * torch.ones_like(q)` for torch.full_like(q, constant), or q.new_zeros(...) "
+            "for a tensor whose entries are set"
         )
 
 
