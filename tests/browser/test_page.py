@@ -294,6 +294,31 @@ def test_paper_is_light_and_has_the_folded_tables(browser, address):
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
+def test_numbers_and_names_are_not_cut_on_paper(browser, tmp_path):
+    """Beside a long note, which takes the width that it can have."""
+    lines = [["theta.viscous_friction", "0.0566", 20 * "a long note "]]
+    table = ResultTable("t", "", pd.DataFrame(lines, columns=["parameter", "value", "note"]))
+    parts = [Section("one", "One", tables=[table])]
+    file = tmp_path / "index.html"
+    file.write_text(html(Report("", "", parts, pd.DataFrame())), encoding="utf-8")
+    look_at(browser, file.as_uri(), 390)
+    try:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        name, number, note = (
+            browser.execute_script(
+                """const range = document.createRange();
+                range.selectNodeContents(arguments[0]);
+                return new Set([...range.getClientRects()].map((one) => one.top)).size""",
+                cell,
+            )
+            for cell in browser.find_elements("css selector", "td")
+        )
+        assert (name, number) == (1, 1)
+        assert note > 1
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
 def test_a_page_without_charts_changes_between_light_and_dark(browser, tmp_path):
     file = tmp_path / "index.html"
     one = [row(system="pendulum", experiment="mine")]
