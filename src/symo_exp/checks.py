@@ -78,8 +78,8 @@ def function(key: str, value: object, wanted: str, *given: object, **named: obje
 
     Args:
         key: The name of the value, for the error.
-        value: What was given.
-        wanted: What was expected, for the error.
+        value: The given object.
+        wanted: The expected object in words, for the error.
         given: Arguments by position, of which only the number counts.
         named: Arguments by name, of which only the names count.
     """
@@ -109,9 +109,9 @@ def path_text(what: str, value: object, wanted: str) -> str:
     """Return ``value`` as text; raise ``ConfigError`` unless it is a path.
 
     Args:
-        what: What takes it, for the error.
-        value: What was given.
-        wanted: What was expected, for the error.
+        what: The function or setting that takes it, for the error.
+        value: The given object.
+        wanted: The expected object in words, for the error.
     """
     if not isinstance(value, str | os.PathLike):
         raise ConfigError(f"{what}({type(value).__name__}): expected {wanted}")

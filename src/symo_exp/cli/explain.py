@@ -160,4 +160,4 @@ EXPLAINED: dict[type[BaseException], Callable[[Any], ConfigError | None]] = {
     ConfigKeyError: _unknown_setting,
     ConfigAttributeError: _unknown_setting,
 }
-"""What a kind of error in a chain means; ``None``: another error of the chain tells it."""
+"""How a kind of error in a chain is told; ``None``: another error of the chain tells it."""

@@ -27,7 +27,7 @@ class Packed(NamedTuple):
     tensors: list[Tensor]
     structure: Any
     traced: list[Tensor] | None = None
-    """What stood for the tensors when the piece that made them was traced."""
+    """Placeholders of the tensors in the trace of the piece that made them."""
 
     def open(self) -> Any:
         """Return the object itself."""

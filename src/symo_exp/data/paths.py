@@ -28,7 +28,7 @@ OTHER_FILES = {
         "read it with pandas and write it by DataFrame.to_csv(..., index=False)",
     ),
 }
-"""What to do with other files, by their suffix."""
+"""Remedies for other files, by their suffix."""
 Location = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """One file, folder or glob pattern, or a list of them."""
 

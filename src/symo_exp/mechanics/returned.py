@@ -37,10 +37,10 @@ def checked_tensor(
 
     Args:
         told: The call that returned it, for the error.
-        value: What was returned.
+        value: The returned object.
         shape: The shape that it should have.
         dtype: The precision that it should have.
-        given: What was given, such as ``q of shape (3, 1)``.
+        given: The arguments of the call, such as ``q of shape (3, 1)``.
 
     Raises:
         ConfigError: If it is no tensor of this shape and precision.

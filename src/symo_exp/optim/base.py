@@ -219,7 +219,7 @@ def check_steps(key: str, optimizer: Any) -> None:
 
     Args:
         key: The setting that gives it.
-        optimizer: What was given.
+        optimizer: The given object.
 
     Raises:
         ConfigError: If it is no optimiser of torch, or one that evaluates the loss itself.

@@ -85,7 +85,7 @@ def model_of(
     Args:
         subject: A model, a run, its folder or the id of an MLflow run.
         user: The function that takes it, for the error.
-        besides: What else it takes, for the error.
+        besides: Other arguments that it takes, for the error.
 
     Raises:
         ConfigError: If it is none of these.
