@@ -9,7 +9,9 @@ import torch
 
 from symo_exp.evaluation.horizon import (
     HORIZONS,
+    Predictions,
     cut,
+    noise,
     predict,
     predict_whole,
     tolerance,
@@ -313,6 +315,24 @@ def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion(
     near, far = (dataclasses.replace(true, q=true.q + share * limit) for share in (0.99, 1.01))
     assert (near.usable_seconds(limit) > 1.9).all()
     assert (far.usable_seconds(limit) == 0).all()
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-8, 1e-3])
+def test_a_coordinate_that_stands_still_but_for_its_noise_ends_no_usable_prediction(size):
+    motions = swings(1, 3.0, 3.0)[1]
+    alone = tolerance(cut(motions, H, run_in=True), (True,), noise(motions))
+    random = torch.Generator().manual_seed(0)
+    beside = []
+    for q, v, u in motions:
+        still = 0.1 + size * torch.randn(q.shape, generator=random, dtype=q.dtype)
+        beside.append(Trajectory(torch.cat((q, still), 1), torch.cat((v, 0 * v), 1), u))
+    windows = cut(beside, H, run_in=True)
+    limit = tolerance(windows, (True, True), noise(beside))
+    torch.testing.assert_close(limit, alone.expand(2), rtol=1e-6, atol=0.0)
+    q = windows.q[:, windows.lead :].clone()
+    q[..., 1] = 0.1
+    found = Predictions(H, windows, q, torch.zeros_like(q))
+    assert found.usable_seconds(limit).tolist() == pytest.approx([HORIZONS[-1]] * len(q))
 
 
 @EACH_N

@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from symo_exp.data.sensors import noise_of
+from symo_exp.data.weak import ROUNDING
 from symo_exp.evaluation.measures import VALID_ERROR, squared, steps_within
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.roots import Sizes
@@ -41,9 +42,9 @@ LONG = 2.0 * HORIZONS[-1]
 MOVES, SHARE, ABOVE_NOISE = 0.2, 0.05, 10.0
 """A coordinate moves in a window where its range exceeds so many rad or m, or this share of its
 range in the recordings if that is less, and so many times its noise."""
-TOLERANCE, TURNS = 0.1, 1.0
-"""Share of the motion in a window up to which a prediction is usable, and the motion of an angle
-[rad] at most."""
+TOLERANCE, TURNS, STILL = 0.1, 1.0, 2.0
+"""Share of the motion in a window up to which a prediction is usable, the motion of an angle [rad]
+at most, and that over the noise up to which a coordinate stands still."""
 DOUBLE = torch.zeros((), dtype=torch.float64)
 """Double precision on the processor, where baselines are predicted."""
 
@@ -190,12 +191,15 @@ def noise(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
     return torch.tensor(found, dtype=torch.float64).nan_to_num(0.0)
 
 
-def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tensor, " n"]:
+def tolerance(
+    windows: PredictionWindows, turning: Sequence[bool], noise: Float[Tensor, " n"] | float = 0.0
+) -> Float[Tensor, " n"]:
     """Return the error of each coordinate up to which a prediction is usable [rad, m].
 
     It is a tenth of the motion in a window: of its standard deviation, root mean square over
     windows and, of a rotation, over the three components. Of an angle or a rotation that moves by
-    more than 1 rad, it is 0.1 rad.
+    more than 1 rad, it is 0.1 rad; of a coordinate that does not move by more than its ``noise``,
+    that of the coordinate which moves most.
     """
     space = space_of(windows.q, windows.v)
     q = space.along(windows.q[:, windows.lead :])
@@ -204,7 +208,9 @@ def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tens
     whole = turns.view(-1, 3).square().mean(1, keepdim=True).sqrt()
     motion = torch.cat((flat, whole.expand(-1, 3).flatten()))
     motion = torch.where(torch.tensor(turning), motion.clamp(max=TURNS), motion)
-    return TOLERANCE * motion.where(motion > 0, motion.max())
+    rounding = ROUNDING * q.abs().nan_to_num().amax((0, 1))
+    moves = motion > torch.maximum(STILL * torch.as_tensor(noise), rounding)
+    return TOLERANCE * motion.where(moves, motion.max())
 
 
 @torch.no_grad()

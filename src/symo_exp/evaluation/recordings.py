@@ -185,7 +185,7 @@ def on_recordings(
             recorded = _recorded(model, found[""], found.get("reference_"), names)
             if recorded.interval is not None:
                 measures |= coverage(recorded.model, recorded.interval)
-            usable = tolerance(windows, model.coordinates.turning)
+            usable = tolerance(windows, model.coordinates.turning, noise(trajectories))
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
     for prefix, one_model in who.items():
