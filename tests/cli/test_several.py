@@ -78,12 +78,14 @@ def test_the_command_line_narrows_them_all(folder):
 @pytest.mark.parametrize(
     ("content", "wanted"),
     [("sweeps: [a, nothing]", "names the sweep nothing, which is not in"),
-     ("sweeps: 3", "expected a list of names"), ("sweeps: [both]", "names the sweep both"),
+     ("sweeps: 3", "expected a list of names"), ("sweeps: []", "expected a list of names"),
+     ("seed: 1", "both.yaml is not a sweep: expected defaults: [config, _self_]"),
+     ("", "both.yaml is not a sweep"), ("sweeps: [both]", "names the sweep both"),
      ("sweeps: [a", "both.yaml cannot be read")],
 )  # fmt: skip
 def test_an_invalid_list_of_sweeps_is_refused(content, wanted, folder, started, capsys):
     (folder / "both.yaml").write_text(content)
-    assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
+    assert main(["--config-dir", str(folder), "-cn", "both.yaml"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert wanted in line
     assert started == []

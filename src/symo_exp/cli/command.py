@@ -56,7 +56,7 @@ class Command:
         self.overrides: list[str] = self._given.overrides
         self.options = [word for word in argv if word not in self.overrides]
         self.multirun: bool = self._given.multirun
-        self.name: str | None = self._given.config_name
+        self.name: str = (self._given.config_name or "config").removesuffix(".yaml")
         self.help: bool = self._given.help
         folder = self._given.config_dir
         self.folders = [] if folder is None else [Path(folder).absolute()]
@@ -207,10 +207,16 @@ def _listed_sweeps(file: Path) -> list[str]:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
-    if not isinstance(content, dict) or set(content) != {"sweeps"}:
+    keys = set(content) if isinstance(content, dict) else set()
+    if not keys & {"defaults", "sweeps"}:
+        raise ConfigError(
+            f"{file} is not a sweep: expected defaults: [config, _self_] and settings, or a list "
+            "of names under sweeps"
+        )
+    if keys != {"sweeps"}:
         return []
     names = content["sweeps"]
-    if not isinstance(names, list):
+    if not isinstance(names, list) or not names:
         raise ConfigError(f"{file}: expected a list of names under sweeps")
     others = [path.stem for path in file.parent.glob("*.yaml") if path != file]
     for name in names:
