@@ -15,6 +15,7 @@ import symo_exp
 from symo_exp import code
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
+from symo_exp.job.checks import check_settings
 from symo_exp.job.parts import build, make
 from symo_exp.job.recipe import perform
 from symo_exp.mechanics.dissipation import Dissipation
@@ -265,6 +266,21 @@ def test_a_mistake_in_a_dissipation_is_refused_before_anything_starts(
         sweep.check(jobs)
     told = refusal(*words, f"dissipation={name}")
     assert re.search(said, told)
+
+
+def test_a_class_takes_what_it_passes_on_to_the_one_that_it_inherits_from(mine):
+    text = FILES["mine_objective.py"]
+    text += "\nclass More(Bounded):\n    def __init__(self, *, more: int, **given):\n"
+    (mine / "with_more.py").write_text(f"{text}        super().__init__(**given)\n")
+    code.add(mine)
+    node = {"_target_": "with_more.More", "more": 1, "bound": 0.1}
+    check_settings(node, node, {}, "objective.")
+    for changed, said in [
+        ({"bund": 0.1}, r"objective\.bund is not a setting; did you mean objective\.bound"),
+        ({"bound": "wide"}, "objective.bound=wide has the wrong type: expected a number"),
+    ]:
+        with pytest.raises(ConfigError, match=said):
+            check_settings(node | changed, node, {}, "objective.")
 
 
 class Bodies(nn.Module, Lagrangian):

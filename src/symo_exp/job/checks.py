@@ -206,7 +206,10 @@ def _check_kind(part: str, made: Callable[..., Any]) -> None:
 
 
 def _parameters(made: Callable[..., Any]) -> Mapping[str, Any]:
-    """Return the names and type annotations of a constructor's arguments."""
+    """Return the names and type annotations of a constructor's arguments.
+
+    Others that it takes by ``**name`` are those of the class that it inherits from, as a rule.
+    """
     try:
         signature = inspect.signature(made, eval_str=True)
     except (NameError, TypeError):  # names that only a type checker imports
@@ -218,6 +221,9 @@ def _parameters(made: Callable[..., Any]) -> Mapping[str, Any]:
             hints[p.name] = p.annotation if known else Any
         elif p.kind is p.VAR_KEYWORD and typing_extensions.get_origin(p.annotation) is Unpack:
             hints |= typing_extensions.get_type_hints(*typing.get_args(p.annotation))
+        elif p.kind is p.VAR_KEYWORD and inspect.isclass(made):
+            _, *others = (kind for kind in made.__mro__[:-1] if "__init__" in vars(kind))
+            hints = {**(_parameters(others[0]) if others else {}), **hints}
     return hints
 
 
