@@ -78,7 +78,8 @@ def _(lagrangian: KnownLagrangian, coordinates: Coordinates) -> Linkage:
 def _(lagrangian: LagrangianSystem, coordinates: Coordinates) -> Linkage:
     if lagrangian.linkage is None:
         raise ConfigError(
-            f"{type(lagrangian).__name__} is not described by rigid bodies: give it a `linkage`"
+            f"{type(lagrangian).__name__} is not described by rigid bodies: give it a property "
+            "`linkage` (docs/own_system.md), or write .pt2"
         )
     return lagrangian.linkage
 
