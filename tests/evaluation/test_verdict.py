@@ -40,3 +40,4 @@ def test_only_models_of_recordings_have_a_verdict():
     coarse = {name: 1e4 * x for name, x in GOOD.items()}  # in mm, and ten times as large
     assert comparison(coarse, "m") == "RMSE to 1 s 200 m (constant velocity 10000, noise 10)"
     assert comparison(GOOD | {"window_s": 0.12}, "rad").startswith("RMSE to 0.12 s 0.02")
+    assert "noise 2.2e-5)" in comparison(GOOD | {"noise": 2.18e-5}, "rad")

@@ -74,5 +74,6 @@ def comparison(measures: Mapping[str, float], unit: str) -> str | None:
 
 
 def _two(x: float) -> str:
-    """Return two digits of a number, such as ``120`` or ``0.0021``."""
-    return f"{float(f'{x:.2g}'):g}"
+    """Return two digits of a number, such as ``120``, ``0.0021`` or, as in tables, ``2.2e-5``."""
+    digits, e, exponent = f"{float(f'{x:.2g}'):g}".partition("e")
+    return f"{digits}e{int(exponent)}" if e else digits
