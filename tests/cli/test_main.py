@@ -263,6 +263,15 @@ def test_a_refusal_is_one_line_and_exit_code_2(typed, given, wanted, home, capsy
     assert nothing_is_left(home)
 
 
+@pytest.mark.parametrize(
+    ("typed", "named"),
+    [("data.n_traj=0,8", "data.n_traj=0"), ("seed=0,1 data.n_traj=0", "seed=0: data.n_traj=0")],
+)
+def test_a_job_of_a_sweep_is_named_once(typed, named, home, capsys):
+    assert main(["-m", *typed.split()]) == 2
+    assert capsys.readouterr().err.startswith(f"symo_exp: error: {named}: expected ")
+
+
 def test_a_refusal_does_not_depend_on_the_environment_of_hydra(home, capsys, monkeypatch):
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
     assert main(["modle=symo"]) == 2

@@ -309,7 +309,8 @@ def _tell_one(folder: RunFolder, *, was_finished: bool) -> None:
 
 
 def _labelled(error: ConfigError, label: str) -> ConfigError:
-    return ConfigError(f"{label}: {error}" if label else error)
+    named = not label or str(error).startswith(f"{label}: ")
+    return ConfigError(error if named else f"{label}: {error}")
 
 
 def _clear(job: Job) -> None:
