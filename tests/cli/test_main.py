@@ -223,7 +223,7 @@ ENDS = [
     ("-m seed=0,1 hydra.launcher=joblib", "hydra.launcher=joblib", "hydra/launcher=NAME"),
     ("hydra.sweeper.check_only=perhaps", "check_only='perhaps'", "true or false"),
     ("-cn machine hydra.sweeper.clock=3", "hydra.sweeper.clock=3", "true or false"),
-    ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sensitivity", "to model=l_node"),
+    ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sens", "to model=l_node"),
     # composing, checking and building a job each find some
     *[row for row in BAD if row[0] in ("modle=symo", "+data.x=1", "-m data.n_traj=8,16,0")],
 ]  # fmt: skip
