@@ -81,7 +81,7 @@ def test_a_free_chain_of_point_masses_is_the_chain_pendulum(n):
     ("changed", "said"),
     [
         ({"mass": [0.1, "heavy"]}, r"reference\.mass='heavy': expected a finite number"),
-        ({"length": []}, r"reference\.length=\[\]: expected 1 value\(s\) for the 2 link"),
+        ({"length": []}, r"reference\.length=\[\]: expected 1 value for 2 links"),
     ],
 )
 def test_invalid_parameters_are_refused(changed, said):

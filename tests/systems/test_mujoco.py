@@ -235,7 +235,7 @@ MALFORMED = {
     "a damper": (mjcf(HINGE, MOTOR.format(
         '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "neither a motor"),
     "an activation": (mjcf(HINGE, MOTOR.format(
-        '<general joint="arm" dyntype="integrator"/>')), "state of its own"),
+        '<general joint="arm" dyntype="integrator"/>')), "actuators that have states"),
     "a site's motor": (
         mjcf(HINGE.replace("</body>", '<site name="p"/></body>'),
              MOTOR.format('<motor site="p"/>')),

@@ -22,14 +22,14 @@ def refusals(model: Any) -> Iterator[str]:
     if model.njnt == 0:
         yield "it has no joints; give a model with joints"
     if model.neq and model.eq_active0.any():
-        yield f"{int(model.eq_active0.sum())} equality constraint(s) are not supported; remove them"
+        yield f"equality constraints ({model.eq_active0.sum()}) are not supported; remove them"
     for count, what in (
-        ("ntendon", "tendon"), ("nflex", "flexible body"), ("nplugin", "plugin"),
-        ("nplastic", "plastic spring"), ("ngravcomp", "body with gravity compensation"),
-        ("nhistory", "delay"), ("na", "actuator with a state of its own"),
+        ("ntendon", "tendons"), ("nflex", "flexible bodies"), ("nplugin", "plugins"),
+        ("nplastic", "plastic springs"), ("ngravcomp", "bodies with gravity compensation"),
+        ("nhistory", "delays"), ("na", "actuators that have states"),
     ):  # fmt: skip
         if getattr(model, count, 0):
-            yield f"{getattr(model, count)} {what}(s) are not supported; remove them"
+            yield f"{what} ({getattr(model, count)}) are not supported; remove them"
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0)):
             yield f"{name} is not zero: only linear springs and dampers are supported"
