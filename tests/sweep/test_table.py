@@ -169,3 +169,13 @@ def test_looks_at_many_runs_take_little_of_the_time(tmp_path, monkeypatch):
     with Watch([RunFolder(tmp_path)]):
         time.sleep(0.9)
     assert len(looks) <= 4  # at first, once, and at the end
+
+
+def test_many_runs_that_did_not_start_are_counted(tmp_path):
+    failed = [made(tmp_path / f"f{i}", status="failed") for i in range(5)]
+    for folder in failed:
+        (folder / "symo_exp.log").touch()  # each has a log of its own
+    folders = [*failed, *(RunFolder(tmp_path / f"w{i}") for i in range(200))]
+    lines = table([f"seed={i}" for i in range(205)], folders).splitlines()
+    assert sum(line.startswith("failed: seed=") for line in lines) == 5
+    assert [line.split(": ")[1] for line in lines if line.startswith("waiting: ")] == ["200 runs"]

@@ -17,9 +17,12 @@ from symo_exp.process import phases, stopping
 from symo_exp.process.terminal import fitted_lines
 from symo_exp.report.looks import all_angles, duration, label_and_unit, written
 from symo_exp.runs.folder import LOG, RunFolder
+from symo_exp.words import counted
 
 ENDED = "finished", "failed", "refused", "interrupted"
 WIDTH = 80
+LISTED = 3
+"""Runs with equal reasons that are named, at most."""
 SECONDS, PAUSE = 0.5, 20.0
 """Least time between two looks at all runs [s], and over the time that a look takes."""
 
@@ -48,13 +51,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
-    failures = [
-        f"{outcome.status}: {label}: {outcome.reason}{f' (log: {log})' * log.exists()}"
-        for label, folder, outcome in zip(labels, folders, outcomes, strict=True)
-        if outcome.status != "finished"
-        for log in [folder / LOG]
-    ]
-    return "\n".join([*lines, *fitted_lines(parameters), *verdicts, *failures])
+    return "\n".join([*lines, *fitted_lines(parameters), *verdicts, *_unfinished(labels, folders)])
 
 
 def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
@@ -62,6 +59,21 @@ def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]
     first = [name.ljust(max(map(len, names))) for name in names]
     others = [[cell.rjust(max(map(len, column))) for cell in column] for column in columns]
     return ["  ".join(cells) for cells in zip(first, *others, strict=True)]
+
+
+def _unfinished(labels: Sequence[str], folders: Sequence[RunFolder]) -> list[str]:
+    """Return why runs did not finish, a line each; more than ``LISTED`` alike are counted."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for label, folder in zip(labels, folders, strict=True):
+        outcome, log = folder.outcome(), folder / LOG
+        if outcome.status != "finished":
+            reason = outcome.reason + f" (log: {log})" * log.exists()
+            alike.setdefault((outcome.status, reason), []).append(label)
+    return [
+        f"{status}: {name}: {reason}"
+        for (status, reason), names in alike.items()
+        for name in (names if len(names) <= LISTED else [counted(len(names), "run")])
+    ]
 
 
 def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:
