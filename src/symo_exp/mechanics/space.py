@@ -189,7 +189,7 @@ class Space:
             return q
         flat, turn = self._split(q)
         relative = self._split(base)[1].mT @ turn
-        return joined(flat, rotation_vector(relative).flatten(-2))
+        return with_rotations(flat, rotation_vector(relative).flatten(-2))
 
     def point(
         self, base: Float[Tensor, "*batch N"], x: Float[Tensor, "*batch n"]
@@ -205,14 +205,14 @@ class Space:
     ) -> Float[Tensor, "*batch N"]:
         """Return ``point`` where ``turn``, ``exp φ``, is known."""
         flat, turned = self._parts(x)[0], self._split(base)[1] @ turn
-        return joined(flat, turned.flatten(-3))
+        return with_rotations(flat, turned.flatten(-3))
 
     def origin(self, base: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return the coordinates of ``base`` in its own chart."""
         if not self.rotations:
             return base
         flat = base[..., : base.shape[-1] - 9 * self.rotations]
-        return joined(flat, base.new_zeros(*base.shape[:-1], 3 * self.rotations))
+        return with_rotations(flat, base.new_zeros(*base.shape[:-1], 3 * self.rotations))
 
     def retract(
         self, q: Float[Tensor, "*batch N"], step: Float[Tensor, "*batch n"]
@@ -256,7 +256,7 @@ class Space:
         long = size > TURN
         size = torch.where(long, size, 1.0)
         whole = torch.where(long, TURN * (size / TURN).round(), 0.0)
-        return joined(flat, exponential(phi * (1.0 - whole / size)).flatten(-3))
+        return with_rotations(flat, exponential(phi * (1.0 - whole / size)).flatten(-3))
 
     def of_quaternions(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and quaternions, the scalar first."""
@@ -264,14 +264,14 @@ class Space:
             return x
         flat = x.shape[-1] - 4 * self.rotations
         turn = of_quaternion(x[..., flat:].unflatten(-1, (self.rotations, 4)))
-        return joined(x[..., :flat], turn.flatten(-3))
+        return with_rotations(x[..., :flat], turn.flatten(-3))
 
     def to_quaternions(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch K"]:
         """Return flat coordinates and quaternions of configurations."""
         if not self.rotations:
             return q
         flat, turn = self._split(q)
-        return joined(flat, quaternion(turn).flatten(-2))
+        return with_rotations(flat, quaternion(turn).flatten(-2))
 
     def along(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
         """Return the nodes of motions in the charts at their first ones."""
@@ -301,7 +301,7 @@ class Space:
         roll = torch.atan2(turn[..., 2, 1], turn[..., 2, 2])
         pitch = -torch.asin(turn[..., 2, 0].clamp(-1.0, 1.0))
         yaw = torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
-        return joined(flat, torch.stack((roll, pitch, yaw), -1).flatten(-2))
+        return with_rotations(flat, torch.stack((roll, pitch, yaw), -1).flatten(-2))
 
     def rotates(self, q: Float[Tensor, "*batch N"]) -> Bool[Tensor, "*batch"]:
         """Return which configurations have rotation matrices, up to ``LOOSE``."""
@@ -318,7 +318,7 @@ class Space:
         sign = torch.ones_like(turn[..., 0])
         sign[..., 2] = torch.linalg.det(left @ right)
         nearest = (left * sign.unsqueeze(-2)) @ right
-        return joined(flat, nearest.flatten(-3))
+        return with_rotations(flat, nearest.flatten(-3))
 
     # Velocities and gradients
 
@@ -330,7 +330,7 @@ class Space:
             return v
         flat, omega = self._parts(v)
         rate = self._split(q)[1] @ cross(omega)
-        return joined(flat, rate.flatten(-3))
+        return with_rotations(flat, rate.flatten(-3))
 
     def velocity(
         self, q: Float[Tensor, "*batch N"], rate: Float[Tensor, "*batch N"]
@@ -339,7 +339,7 @@ class Space:
         if not self.rotations:
             return rate
         flat, omega = self._parts(self.pull(q, rate))
-        return joined(flat, 0.5 * omega.flatten(-2))
+        return with_rotations(flat, 0.5 * omega.flatten(-2))
 
     def pull(
         self, q: Float[Tensor, "*batch N"], gradient: Float[Tensor, "*batch N"]
@@ -348,7 +348,7 @@ class Space:
         if not self.rotations:
             return gradient
         flat, by_turn = self._split(gradient)
-        return joined(flat, torques(self._split(q)[1], by_turn).flatten(-2))
+        return with_rotations(flat, torques(self._split(q)[1], by_turn).flatten(-2))
 
     def chart_rate(
         self, x: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
@@ -359,7 +359,7 @@ class Space:
         flat, omega = self._parts(v)
         inverse = ExponentialMap.of(0.5 * self.vectors(x)).inverse_of_twice()
         rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], 3 * self.rotations)
-        return joined(flat, rate)
+        return with_rotations(flat, rate)
 
     def coadjoint(
         self, v: Float[Tensor, "batch n"], p: Float[Tensor, "batch n"]
@@ -369,7 +369,7 @@ class Space:
             return torch.zeros_like(p)
         (flat, omega), (_, spin) = self._parts(v), self._parts(p)
         turning = torch.linalg.cross(omega, spin)
-        return joined(torch.zeros_like(flat), turning.flatten(1))
+        return with_rotations(torch.zeros_like(flat), turning.flatten(1))
 
     # Parts
 
@@ -422,7 +422,7 @@ def space_of(q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]) -> Spac
     return Space((q.shape[-1] - v.shape[-1]) // 6)
 
 
-def joined(
+def with_rotations(
     flat: Float[Tensor, "*batch a"], rest: Float[Tensor, "*batch b"]
 ) -> Float[Tensor, "*batch a+b"]:
     """Return what belongs to flat coordinates, if there are any, and to rotations."""

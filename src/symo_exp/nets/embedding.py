@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.space import Space, cross, joined, torques
+from symo_exp.mechanics.space import Space, cross, torques, with_rotations
 from symo_exp.mechanics.types import Coordinates
 
 
@@ -98,7 +98,7 @@ class Embedding(nn.Module):
         if not self.space.rotations:
             return features.dx * self._spread(direction)
         flat, turning = self._parts(direction, 3)
-        along = joined(self._spread(flat), turning)
+        along = with_rotations(self._spread(flat), turning)
         return features.dx * self.space.push(features.x, along)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
@@ -122,7 +122,7 @@ class Embedding(nn.Module):
         if self._flat:
             own = (features.dx[:, first] * own) @ self.selection
         turns, by_turn = map(self.space.rotation_matrices, (features.x, cotangent))
-        return joined(own, torques(turns, by_turn).flatten(1))
+        return with_rotations(own, torques(turns, by_turn).flatten(1))
 
     def to_stored(
         self,
