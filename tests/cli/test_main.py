@@ -221,6 +221,7 @@ ENDS = [
     ("hydra.sweeper=3", "hydra.sweeper=3", "hydra/sweeper=NAME"),
     ("-cn machine hydra.sweeper=null", "hydra.sweeper=null", "hydra/sweeper=NAME"),
     ("-m seed=0,1 hydra.launcher=joblib", "hydra.launcher=joblib", "hydra/launcher=NAME"),
+    ("hydra.run.dir=mine", "hydra.run.dir=mine has no effect", "output_dir=FOLDER"),
     ("hydra.sweeper.check_only=perhaps", "check_only='perhaps'", "true or false"),
     ("-cn machine hydra.sweeper.clock=3", "hydra.sweeper.clock=3", "true or false"),
     ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sens", "to model=l_node"),

@@ -183,6 +183,8 @@ def _parsed(words: Sequence[str]) -> list[Override]:
             raise ConfigError(f"{word} is not a setting with a value: write NAME=VALUE")
         if group == "hydra.mode" and names != "MULTIRUN":
             raise ConfigError(f"{word} goes around the checks; leave it out: one run needs no -m")
+        if group == "hydra.run.dir":
+            raise ConfigError(f"{word} has no effect; give output_dir=FOLDER or experiment=NAME")
         if group == "query" and "COMP_LINE" not in os.environ:
             raise ConfigError(f"{word} answers a shell that completes a line; leave it out")
         if group in ("hydra.launcher", "hydra.sweeper") and not isinstance(names, dict):
