@@ -256,7 +256,7 @@ def test_names_of_any_kind_are_read_as_texts(tmp_path: Path) -> None:
         ({"split": "val"}, {}, "no trajectory for train; its column split has val"),
         ({"split": ""}, {"test": ["a"]}, "no trajectory for val; name some by data.val=[...]"),
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
-        ({"q_": 0.0}, {}, "system.input_matrix=null: say how 2 inputs (motor0, motor1)"),
+        ({"q_": 0.0}, {}, "system.input_matrix=null: say how the inputs (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg belongs to no coordinate of the system (arm0, arm1)"),
         ({}, {"angular": None}, "system.angular=null"),
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),

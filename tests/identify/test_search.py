@@ -665,7 +665,7 @@ def test_that_a_point_is_on_a_circle_is_said_with_the_question_for_the_matrix(wo
     angle = np.sin(2.0 * table().t)
     frame = pd.DataFrame({"t": table().t, "q_x": np.sin(angle), "q_y": -np.cos(angle)})
     frame.assign(u_motor=np.cos(3.0 * frame.t)).to_csv("mine.csv", index=False)
-    with pytest.raises(ConfigError, match=r"say how the 1 input.*; q_x and q_y lie on a circle"):
+    with pytest.raises(ConfigError, match=r"say how the inputs .*; q_x and q_y lie on a circle"):
         examine({"path": "mine.csv"})
 
 

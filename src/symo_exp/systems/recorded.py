@@ -15,7 +15,6 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
-from symo_exp.words import counted
 
 DEGREES = r"deg(?:s|rees?|r[eé]s?)?|gra(?:d|di|dos|us)|°"
 UNIT = re.compile(
@@ -180,7 +179,6 @@ def _matrix(
         return matrix
     hint = "; of the voltage, the current and the torque of a motor, keep one, by data.columns"
     raise ConfigError(
-        f"{told}: say how {counted(m, 'input')} ({', '.join(inputs)}) drive "
-        f"{counted(n, 'coordinate')} ({', '.join(names)}){hint * (alike or m > n)}; a row for "
-        f"each coordinate, {such}"
+        f"{told}: say how the inputs ({', '.join(inputs)}) drive the coordinates "
+        f"({', '.join(names)}){hint * (alike or m > n)}; a row for each coordinate, {such}"
     )
