@@ -268,12 +268,12 @@ def test_names_of_any_kind_are_read_as_texts(tmp_path: Path) -> None:
         (
             {},
             {"columns": {"u_motor_V": "u_motor0", "u_motor_A": "u_motor1"}},
-            "(motor_V, motor_A) drive 2 coordinates (arm0, arm1); of the voltage",
+            "(motor_V, motor_A) drive the coordinates (arm0, arm1); of the voltage",
         ),
         (
             {},
             {"columns": {"u_arm0_V": "u_motor0", "u_arm0_A": "u_motor1"}},
-            "(arm0_V, arm0_A) drive 2 coordinates (arm0, arm1); of the voltage",
+            "(arm0_V, arm0_A) drive the coordinates (arm0, arm1); of the voltage",
         ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
         (
