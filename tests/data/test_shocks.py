@@ -15,6 +15,7 @@ import torch
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.resample import LONGEST_GAP
 from symo_exp.data.shocks import shocks
+from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine
 from symo_exp.mechanics.types import Coordinates
@@ -172,3 +173,16 @@ def test_stretches_that_are_none_are_refused(given, message, tmp_path) -> None:
     with pytest.raises(ConfigError) as error:
         read(motions(1, 0.0, count=3), tmp_path / "x.parquet", given)
     assert message in str(error.value)
+
+
+def test_a_table_is_read_once_although_it_is_divided_several_times(workplace, monkeypatch) -> None:
+    times = []
+
+    def read(*given):
+        times.append(given)
+        return read_recordings(*given)
+
+    monkeypatch.setattr("symo_exp.identify.recordings.read_recordings", read)
+    pd.concat(motions(1, 60.0)).to_csv("mine.csv", index=False)
+    assert any("leave_out" in one for one in examine({"path": "mine.csv"}).settings)
+    assert len(times) == 1

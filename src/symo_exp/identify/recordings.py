@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -18,7 +19,7 @@ from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.paths import few, shown, titled
 from symo_exp.data.resample import TIME_TOLERANCE
 from symo_exp.data.sensors import noise_of
-from symo_exp.data.table import Recording, read_recordings
+from symo_exp.data.table import Recording, RecordingTable, read_recordings
 from symo_exp.data.turns import continuous, refuse_counts, turned
 from symo_exp.errors import ConfigError
 from symo_exp.identify.angles import (
@@ -153,7 +154,6 @@ class _Examination:
     notes: list[str] = field(default_factory=list)
     used: list[Recording] = field(init=False)
     test: list[Recording] = field(init=False)
-    starts: dict[str, float] = field(init=False)  # of the trajectories of the table [s]
     header: list[str] = field(init=False)  # names of all columns
     moving: int = field(init=False)  # how many of ``used`` are not at rest
     angles: list[str] = field(init=False)
@@ -172,11 +172,11 @@ class _Examination:
     def machine(self) -> Machine:
         """Take all steps and return the machine."""
         self._name_rotations_and_inputs()
-        self._read_parts(self.time_step)
+        self._divide(self.time_step)
         self._tell_angles()
         self._ask_for_matrix()
         self._read_units()
-        self.notes += self._read_parts(self.time_step, self.space)  # rests depend on the units
+        self.notes += self._divide(self.time_step, self.space)  # rests depend on the units
         self._tell_rest()
         remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
         self.notes += [*remarks.on_coordinates(), *remarks.on_velocities()]
@@ -274,19 +274,23 @@ class _Examination:
         self.input_matrix = found
         self.settings.append(matrix_setting(found))
 
-    def _read_parts(self, time_step: float | None, space: Coordinates | None = None) -> list[str]:
-        """Read ``used`` and ``test``, and return lines on them.
+    @cached_property
+    def table(self) -> RecordingTable:
+        """The whole table, whose inputs act as they are given."""
+        everything = [[1.0] * len(self.inputs) for _ in self._alone("none").coordinates.names]
+        system = self._system("none", everything)  # to read them, it does not matter
+        found = read_recordings(self.data["path"], system, self.columns, self.data.get("time_unit"))
+        acting = (self.data.get(name) for name in ACTING)
+        return found._replace(recordings=tuple(acting_as_given(found.recordings, *acting)))
+
+    def _divide(self, time_step: float | None, space: Coordinates | None = None) -> list[str]:
+        """Divide the table into ``used`` and ``test``, and return lines on them.
 
         With the coordinates ``space``, angles are in radians and continuous, otherwise as recorded.
         """
         data = self.data
-        everything = [[1.0] * len(self.inputs) for _ in self._alone("none").coordinates.names]
-        system = self._system("none", everything)  # to read them, it does not matter
-        table = read_recordings(data["path"], system, self.columns, data.get("time_unit"))
         named = {part: data.get(part) for part in PARTS}
-        acting = (data.get(name) for name in ACTING)
-        recordings: Sequence[Recording] = acting_as_given(table.recordings, *acting)
-        self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
+        recordings: Sequence[Recording] = self.table.recordings
         # until it is chosen, the time step is as small as samples allow
         step = time_step or max((one.samples.step for one in recordings), default=STEPS[0])
         if space is not None:
@@ -299,7 +303,7 @@ class _Examination:
         if note is None:
             count, tested = len(self.used), few([one.label for one in self.test])
             note = f"recordings: {count} to choose and train models; for the test: {tested}"
-        return [*table.notes, note]
+        return [*self.table.notes, note]
 
     def _tell_rest(self) -> None:
         """Count the recordings that move, and tell of those at rest."""
@@ -449,7 +453,7 @@ class _Examination:
         step.
         """
         if not self._is_open("leave_out"):
-            self._read_again(time_step, "data.leave_out leaves pieces that are too short")
+            self._divide_again(time_step, "data.leave_out leaves pieces that are too short")
             return
         left_out: list[Stretch] = []
         for finds, reason in REASONS.items():
@@ -461,13 +465,13 @@ class _Examination:
             self.notes.append(f"left out: {told}; {reason} (data.leave_out=[] keeps all)")
             left_out += stretches
             self.data["leave_out"] = left_out
-            self._read_again(time_step, self.notes[-1])
+            self._divide_again(time_step, self.notes[-1])
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
 
-    def _read_again(self, time_step: float, note: str) -> None:
-        """Read ``used`` without what is left out; the note says why nothing may be left."""
-        self._read_parts(time_step, self.space)
+    def _divide_again(self, time_step: float, note: str) -> None:
+        """Divide the table without what is left out; the note says why nothing may be left."""
+        self._divide(time_step, self.space)
         self.used, _ = uninterrupted(self._near(), time_step)
         if not self.used:
             raise self._nothing_left(note)
@@ -478,9 +482,10 @@ class _Examination:
         Times are rounded to a tenth of a time step at most.
         """
         label, low, high = stretch
-        whole = [x for x in self.starts if x in ("", label) or label.startswith(f"{x}/")]
+        starts = {one.label: float(one.samples.t[0]) for one in self.table.recordings}
+        whole = [x for x in starts if x in ("", label) or label.startswith(f"{x}/")]
         name = max(whole, key=len)  # pieces have the name of the trajectory first
-        start, digits = self.starts[name], max(4, 1 - math.floor(math.log10(time_step)))
+        start, digits = starts[name], max(4, 1 - math.floor(math.log10(time_step)))
         return name, round(low - start, digits), round(high - start, digits)
 
     def _direct_inputs(self, time_step: float) -> np.ndarray:
