@@ -12,6 +12,7 @@ from symo_exp.words import counted
     [
         (1, "run", "1 run"), (0, "run", "0 runs"), (2, "finite number", "2 finite numbers"),
         (1.0, "trajectory", "1 trajectory"), (32.0, "trajectory", "32 trajectories"),
+        (2_000_001, "step", "2000001 steps"),
     ],
 )  # fmt: skip
 def test_a_noun_agrees_with_its_number(count, noun, words):

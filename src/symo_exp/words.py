@@ -11,4 +11,4 @@ def counted(count: float, noun: str) -> str:
         noun: The name of one of them.
     """
     several = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
-    return f"{count:g} {noun if count == 1 else several}"
+    return f"{count:.0f} {noun if count == 1 else several}"

@@ -17,6 +17,7 @@ from symo_exp.process import phases, stopping
 from symo_exp.process.terminal import fitted_lines
 from symo_exp.report.looks import all_angles, duration, label_and_unit, written
 from symo_exp.runs.folder import LOG, RunFolder
+from symo_exp.runs.outcome import Outcome
 from symo_exp.words import counted
 
 ENDED = "finished", "failed", "refused", "interrupted"
@@ -51,7 +52,9 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
-    return "\n".join([*lines, *fitted_lines(parameters), *verdicts, *_unfinished(labels, folders)])
+    return "\n".join(
+        [*lines, *fitted_lines(parameters), *verdicts, *_unfinished(labels, folders, outcomes)]
+    )
 
 
 def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
@@ -61,11 +64,13 @@ def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]
     return ["  ".join(cells) for cells in zip(first, *others, strict=True)]
 
 
-def _unfinished(labels: Sequence[str], folders: Sequence[RunFolder]) -> list[str]:
+def _unfinished(
+    labels: Sequence[str], folders: Sequence[RunFolder], outcomes: Sequence[Outcome]
+) -> list[str]:
     """Return why runs did not finish, a line each; more than ``LISTED`` alike are counted."""
     alike: dict[tuple[str, str], list[str]] = {}
-    for label, folder in zip(labels, folders, strict=True):
-        outcome, log = folder.outcome(), folder / LOG
+    for label, folder, outcome in zip(labels, folders, outcomes, strict=True):
+        log = folder / LOG
         if outcome.status != "finished":
             reason = outcome.reason + f" (log: {log})" * log.exists()
             alike.setdefault((outcome.status, reason), []).append(label)
