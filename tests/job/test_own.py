@@ -40,6 +40,8 @@ ADDED = {
     "objective": "objective=bounded model=symo",
     "method": "model=reversible integrator=rk4",
     "measure": "study=largest model=node",
+    "data": "data=oscillations model=symo data.n_traj=2",
+    "optimizer": "optimizer=rmsprop model=node",
 }
 QUIET = [*TINY, "logger=none", "pictures=false"]
 
@@ -56,7 +58,8 @@ def mine(workplace):
 @pytest.mark.parametrize("what", ADDED)
 def test_one_class_and_one_file_add_a_choice(what, mine):
     """Composed and checked as by a command; the next test gives one."""
-    job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
+    quick = [x for x in QUIET if what != "data" or not x.startswith("data.")]
+    job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *quick)
     folder = job.folder.path
     values = job.values
     perform(build(values, job.folder), values, job.folder, About("a b", {}))
