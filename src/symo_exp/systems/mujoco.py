@@ -259,9 +259,7 @@ def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
     """Refuse a model that moves differently from what was read."""
     smooth = Multibody(mechanism=found, time_step=1.0, coulomb=(0.0,) * model.nv)
     q, v, u = smooth.points(8, seed=0)
-    mass, rate = mujoco_dynamics(model, *smooth.model_state(q, v), u)
-    order = smooth.model_order
-    mass, rate = mass[:, order][:, :, order], rate[:, order]
+    mass, rate = mujoco_dynamics(model, smooth, q, v, u)
     for name, ours, expected in (
         ("mass matrix", smooth.mass_matrix(q), mass),
         ("accelerations", smooth.acceleration(q, v, u), rate),
@@ -276,16 +274,20 @@ def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
 
 
 def mujoco_dynamics(
-    model: Any, q: torch.Tensor, v: torch.Tensor, u: torch.Tensor
+    model: Any, system: Multibody, q: torch.Tensor, v: torch.Tensor, u: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return MuJoCo's own mass matrices (batch, n, n) and smooth accelerations (batch, n)."""
+    """Return MuJoCo's own mass matrices (batch, n, n) and smooth accelerations (batch, n).
+
+    States and results are those of the coordinates of the system.
+    """
     mj = library()
-    data, n = mj.MjData(model), model.nv
+    data, n, order = mj.MjData(model), model.nv, system.model_order
     masses, rates = np.zeros((len(q), n, n)), np.zeros((len(q), n))
-    for k, state in enumerate(zip(q.numpy(), v.numpy(), u.numpy(), strict=True)):
+    states = (x.numpy() for x in (*system.model_state(q, v), u))
+    for k, state in enumerate(zip(*states, strict=True)):
         data.qpos[:], data.qvel[:], data.ctrl[:] = state
         mj.mj_forward(model, data)
         rates[k] = data.qacc_smooth
         for i, unit in enumerate(np.eye(n)):
             mj.mj_mulM(model, data, masses[k, i], unit)
-    return torch.from_numpy(masses), torch.from_numpy(rates)
+    return torch.from_numpy(masses[:, order][:, :, order]), torch.from_numpy(rates[:, order])

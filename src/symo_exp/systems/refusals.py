@@ -72,7 +72,7 @@ def _actuators(model: Any) -> Iterator[str]:
         if model.actuator_forcelimited[i] and not _within(strongest, model.actuator_forcerange[i]):
             yield f"{name} has a forcerange that its ctrlrange exceeds; narrow the ctrlrange"
     for j in np.flatnonzero(model.jnt_actfrclimited).tolist():
-        strongest = _range_of_force(model, model.jnt_dofadr[j])
+        strongest = _range_of_force(model, j)
         if not _within(strongest, model.jnt_actfrcrange[j]):
             yield f"joint {joint_name(model, j)}: its motors exceed actuatorfrcrange; raise it"
 
@@ -152,11 +152,10 @@ def controls(model: Any, i: int) -> np.ndarray:
     return np.array(model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-1.0, 1.0))
 
 
-def _range_of_force(model: Any, dof: int) -> np.ndarray:
-    """Largest force of all actuators of a coordinate together."""
+def _range_of_force(model: Any, joint: int) -> np.ndarray:
+    """Largest force of all actuators of a joint together."""
     gear = model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
-    of = motors_of(model, int(model.dof_jntid[dof]))
-    each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in of]
+    each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in motors_of(model, joint)]
     return np.array([-sum(each), sum(each)])
 
 
