@@ -12,6 +12,7 @@ from symo_exp.data.paths import few, titled
 from symo_exp.data.resample import LONGEST_GAP, TIME_TOLERANCE, Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
+from symo_exp.words import counted
 
 PARTS = ("train", "val", "test")
 PATTERN = ("train", "train", "val", "train", "test")
@@ -55,16 +56,16 @@ def divided(
     Raises:
         ConfigError: If a part is empty.
     """
-    counted = n_val is not None or n_test is not None
+    numbered = n_val is not None or n_test is not None
     listed = {part: _labels(part, labels) for part, labels in named.items() if labels is not None}
-    if listed and counted:
+    if listed and numbered:
         raise ConfigError(
             f"data.{next(iter(listed))} names trajectories: leave out data.n_val and data.n_test"
         )
     note = None
-    if not (listed or counted):
+    if not (listed or numbered):
         recordings, note = with_every_part(recordings, time_step)
-    if counted:
+    if numbered:
         parts = _by_count(where, recordings, n_val, n_test)
     elif listed or any(r.part for r in recordings):
         parts = _by_name(where, recordings, listed)
@@ -73,9 +74,9 @@ def divided(
     else:
         spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
         raise ConfigError(
-            f"{where} has {_counted(recordings)}, too few for train, val and test, and too short "
-            f"to be split in time ({spans}, a node every {time_step:g} s); record longer ones, or "
-            "more, and number trajectories apart in a column trajectory"
+            f"{where} has {counted(len(recordings), 'trajectory')}, too few for train, val and "
+            f"test, and too short to be split in time ({spans}, a node every {time_step:g} s); "
+            "record longer ones, or more, and number trajectories apart in a column trajectory"
         )
     for part, chosen in parts.items():
         if not chosen:
@@ -124,10 +125,6 @@ def _named(labels: Sequence[str]) -> str:
     return few(list(filter(None, labels))) or "one without a name"
 
 
-def _counted(recordings: Sequence[Recording]) -> str:
-    return f"{len(recordings)} trajector{'y' if len(recordings) == 1 else 'ies'}"
-
-
 def _by_count(
     where: str, recordings: Sequence[Recording], n_val: int | None, n_test: int | None
 ) -> Parts:
@@ -137,8 +134,8 @@ def _by_count(
     first_val = first_test - n_val
     if first_val < 1:
         raise ConfigError(
-            f"{where} has {_counted(recordings)}, too few for data.n_val={n_val}, "
-            f"data.n_test={n_test} and at least one to train on"
+            f"{where} has {counted(len(recordings), 'trajectory')}, too few for "
+            f"data.n_val={n_val}, data.n_test={n_test} and at least one to train on"
         )
     return {
         "train": list(recordings[:first_val]),
