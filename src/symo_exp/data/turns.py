@@ -31,22 +31,17 @@ def continuous(
         degrees: Whether angles and their velocities are in degrees.
         wrapped: Whether angles jump by a turn.
     """
-    how = {"degrees": degrees, "wrapped": wrapped}
-    return [
-        one._replace(samples=_continuous(one.samples, coordinates, **how)) for one in recordings
-    ]
-
-
-def _continuous(
-    samples: Samples, coordinates: Coordinates, *, degrees: bool, wrapped: bool
-) -> Samples:
-    angular, q, v = _angles(samples, coordinates), samples.q, samples.v
-    if degrees:
-        q = q * np.where(angular, np.pi / 180, 1.0)
-        v = None if v is None else v * np.where(coordinates.turning, np.pi / 180, 1.0)
-    if wrapped:
-        q = np.where(angular, np.unwrap(q, axis=0), q)
-    return samples._replace(q=q, v=v)
+    angular = _angles(coordinates)
+    found = []
+    for one in recordings:
+        q, v = one.samples.q, one.samples.v
+        if degrees:
+            q = q * np.where(angular, np.pi / 180, 1.0)
+            v = None if v is None else v * np.where(coordinates.turning, np.pi / 180, 1.0)
+        if wrapped:
+            q = np.where(angular, np.unwrap(q, axis=0), q)
+        found.append(one._replace(samples=one.samples._replace(q=q, v=v)))
+    return found
 
 
 def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
@@ -82,22 +77,20 @@ def refuse_turns(where: str, recordings: Sequence[Recording], coordinates: Coord
         ConfigError: If an angle changes by more than half a turn from one step to the next.
     """
     for one in recordings:
-        _refuse_turns(f"{where}: {titled(one.label)}", one.samples, coordinates)
-
-
-def _refuse_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
-    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
-    jumps = _angles(samples, coordinates) & (bends > np.pi)
-    if jumps.any():
-        turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
+        q = one.samples.q
+        bends = np.abs(np.diff(q, 2, axis=0)).max(0, initial=0)
+        jumps = _angles(coordinates) & (bends > np.pi)
+        if not jumps.any():
+            continue
+        turns = np.where(jumps, np.abs(np.diff(q, axis=0)).max(0), 0.0)
         name = coordinates.names[int(turns.argmax())]
         mend = "data.wrapped=true unwraps them) and must be in radians (data.degrees=true converts"
         if 300 < turns.max() < 400:
             mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
         raise ConfigError(
-            f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-            f"wrapped ({mend}); remove rows in which a sensor fails; sample more often what turns "
-            "so fast"
+            f"{where}: {titled(one.label)} turns q_{name} by {turns.max():.3g} rad in one step; "
+            f"angles must not be wrapped ({mend}); remove rows in which a sensor fails; sample "
+            "more often what turns so fast"
         )
 
 
@@ -137,7 +130,7 @@ def are_counts(columns: Sequence[np.ndarray]) -> bool:
     return len(values) > FEW_NUMBERS and bool((values % 1 == 0).all())
 
 
-def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
+def _angles(coordinates: Coordinates) -> np.ndarray:
     """Return which columns of configurations with quaternions are angles."""
     flat = len(coordinates.flat)
-    return np.array([*coordinates.angular[:flat], *(False,) * (samples.q.shape[1] - flat)])
+    return np.array([*coordinates.angular[:flat], *(False,) * (len(coordinates.measured) - flat)])
