@@ -136,9 +136,9 @@ def diagnose(
         samples: Number of samples in a time step.
     """
     paths = [quasi_coordinates(q, coordinates) for q, _ in motions]
-    sampled = [quasi_coordinates(q, coordinates) for q in raw]
+    columns = [*zip(*(quasi_coordinates(q, coordinates).T for q in raw), strict=True)]
     second = [np.diff(path, 2, axis=0) for path in paths]
-    noise = np.array([noise_of(columns) for columns in _columns(sampled)])
+    noise = np.array([*map(noise_of, columns)])
     blur = blur_of(noise, samples)
     of_noise = 6 * blur**2  # the power of its second differences
     power = np.mean(np.concatenate(second) ** 2, axis=0) - of_noise
@@ -153,11 +153,7 @@ def diagnose(
         degrees=explained_in_degrees(motions, coordinates, time_step),
         sprung=springs is not None,
         noise=noise,
-        encoder=np.array([encoder_of(columns) for columns in _columns(sampled)]),
+        encoder=np.array([*map(encoder_of, columns)]),
         turn=np.max([np.abs(np.diff(path, axis=0)).max(0) for path in paths], axis=0),
         blur=float(np.max(blur / np.maximum(curvature, np.finfo(float).tiny))),
     )
-
-
-def _columns(raw: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
-    return [[q[:, i] for q in raw] for i in range(raw[0].shape[1])]
