@@ -78,7 +78,7 @@ class Dialect(NamedTuple):
         if place:
             skipped, first, others = skipped + place, others[place - 1], others[place:]
         separator = _separator(first)
-        names, *rows = _cells([first, *others], separator) or [[]]
+        names, *rows = _cells([first, *others], separator)
         comma = any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
         return cls(
             encoding, separator, "," if comma else ".", skipped,
@@ -174,10 +174,10 @@ def _line_of_names(lines: Sequence[str]) -> int:
     signs = (";", "\t", "|", ",", " ")
     for place, line in enumerate(lines):
         for sign in signs:
-            (cells,) = _cells([line], sign) or [[]]
+            (cells,) = _cells([line], sign)
             if len(cells) < FEWEST_CELLS or not all(map(NUMBER.fullmatch, cells)):
                 continue
-            heads = [(_cells([head], sign) or [[]])[0] for head in lines[:place]]
+            heads = [_cells([head], sign)[0] for head in lines[:place]]
             fits = [k for k, head in enumerate(heads) if len(head) == len(cells) and all(head)]
             return fits[0] if fits else 0
     return 0
