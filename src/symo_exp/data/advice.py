@@ -266,7 +266,10 @@ def _pose(stems: Mapping[str, str]) -> dict[str, str]:
 
 def as_setting(mapping: Columns) -> str:
     """Return ``data.columns`` as it can be typed."""
-    pairs = (f"{_escaped(ours)}: {_value(theirs)}" for ours, theirs in mapping.items())
+    pairs = (
+        f"{_escaped(ours)}: {'null' if theirs is None else text_value(theirs)}"
+        for ours, theirs in mapping.items()
+    )
     return shlex.quote("data.columns={" + ", ".join(pairs) + "}")
 
 
@@ -277,10 +280,6 @@ def omitting(left_out: Sequence[str], columns: Columns | None = None) -> str:
     if odd := [name for name in others if not KEY.fullmatch(name)]:
         return f"data.columns={{NAME: null}}, with an ASCII name in the file instead of {few(odd)}"
     return as_setting({**kept, **others})
-
-
-def _value(theirs: str | None) -> str:
-    return "null" if theirs is None else text_value(theirs)
 
 
 def _escaped(key: str) -> str:
