@@ -14,6 +14,7 @@ from symo_exp.data.weak import (
     moving,
     place_terms,
     signs_of,
+    unexplained,
     weak_regression,
     weak_table,
 )
@@ -145,9 +146,8 @@ def contradiction(
     count = len(place_terms(motions[0][0][:1], coordinates))
     target, acting, others = np.split(table, [n, n + count * len(driven)], axis=1)
     both = np.concatenate([target, acting], axis=1)
-    target, acting = np.split(both - _fit(others, both), [n], axis=1)
-    left = target - _fit(acting, target)
-    usual = np.sqrt(np.mean(left**2, axis=0)) + 1e-300
+    target, acting = np.split(unexplained(others, both), [n], axis=1)
+    usual = np.sqrt(np.mean(unexplained(acting, target) ** 2, axis=0)) + 1e-300
     acting = acting.reshape(len(table), len(driven), count)
     pairs = sorted({(min(i, j), max(i, j)) for i in range(n) for j in driven.tolist()})
     # rows of all coordinates, and columns for each pair of them, whose coefficients are the same
@@ -156,16 +156,9 @@ def contradiction(
         for one, other in {pair, pair[::-1]}:
             found[one, :, k] += acting[:, driven == other].sum(axis=1) / usual[one]
     x, y = found.reshape(n * len(table), -1), (target / usual).T.reshape(-1, 1)
-    symmetric = float(np.sum((y - _fit(x, y)) ** 2))
+    symmetric = float(np.sum(unexplained(x, y) ** 2))
     free = n * (len(table) - acting[0].size - others.shape[1])
     return symmetric / (n * len(table)) * free / (n * (len(table) - others.shape[1]) - x.shape[1])
-
-
-def _fit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return what a regression on ``x`` explains of ``y``."""
-    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
-    found: np.ndarray = x / size @ np.linalg.lstsq(x / size, y, rcond=1e-9)[0]
-    return found
 
 
 def _forces(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -140,6 +140,13 @@ def _left_out(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
     return least, right.T @ (inverse[:, None] * (left.T @ y))
 
 
+def unexplained(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return what a regression on ``x`` leaves of ``y``."""
+    terms = x / (np.sqrt(np.mean(x**2, axis=0)) + 1e-300)
+    left: np.ndarray = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+    return left
+
+
 def acceleration_terms(
     q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates
 ) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from symo_exp.data.paths import few
-from symo_exp.data.weak import HALF, SHORTEST, Motion, signs_of, weak_rows
+from symo_exp.data.weak import HALF, SHORTEST, Motion, signs_of, unexplained, weak_rows
 from symo_exp.mechanics.types import Coordinates
 
 MOST = 3
@@ -93,10 +93,7 @@ def _unexplained(
     y, *x = table.reshape(len(table), -1, n).transpose(1, 0, 2).reshape(-1, len(table) * n)
     if len(y) < ENOUGH * len(x) or not y.any():
         return np.inf
-    terms = np.stack(x, axis=1)
-    terms /= np.sqrt(np.mean(terms**2, axis=0)) + 1e-300
-    missed = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
-    return float(np.sum(missed**2) / np.sum(y**2))
+    return float(np.sum(unexplained(np.stack(x, axis=1), y) ** 2) / np.sum(y**2))
 
 
 def _inertial(
