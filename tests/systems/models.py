@@ -1,18 +1,16 @@
-"""MJCF models: our own systems, and models that use every supported element."""
+"""MJCF models that use every supported element, and our own systems as mechanisms."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from symo_exp.systems.acrobot import Acrobot
-from symo_exp.systems.cartpole import Cartpole
-from symo_exp.systems.chain import ChainPendulum
+import torch
+
+from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.mujoco import of_model
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
 from tests.tables import CONF
-
-POINT = 'diaginertia="1e-13 1e-13 1e-13"'
 
 
 def mjcf(world: str, rest: str = "", option: str = "", gravity: str = "0 0 -9.81") -> str:
@@ -22,42 +20,16 @@ def mjcf(world: str, rest: str = "", option: str = "", gravity: str = "0 0 -9.81
     )
 
 
-def acrobot(s: Acrobot) -> str:
-    def link(name: str, mass: float, centre: float, inertia: float, inside: str, at: float) -> str:
-        return (
-            f'<body pos="0 0 {-at}"><joint name="{name}" axis="0 -1 0"/><inertial '
-            f'pos="0 0 {-centre}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
-            f"{inside}</body>"
-        )
-
-    second = link("theta_2", s.mass_2, s.centre_2, s.inertia_2, "", s.length_1)
-    first = link("theta_1", s.mass_1, s.centre_1, s.inertia_1, second, 0.0)
-    motor = '<actuator><motor joint="theta_2" ctrlrange="-2 2" ctrllimited="true"/></actuator>'
-    return mjcf(first, motor, gravity=f"0 0 {-s.gravity}")
-
-
-def cartpole(s: Cartpole) -> str:
-    inertia = s.mass_pole * s.half_length**2 / 3
-    world = (
-        f'<body><joint name="x" type="slide" axis="1 0 0"/><inertial pos="0 0 0" '
-        f'mass="{s.mass_cart}" {POINT}/><body><joint name="theta" axis="0 1 0"/><inertial '
-        f'pos="0 0 {s.half_length}" mass="{s.mass_pole}" '
-        f'diaginertia="{inertia} {inertia} 1e-12"/></body></body>'
-    )
-    motor = '<actuator><motor joint="x" gear="2" ctrlrange="-1 1" ctrllimited="true"/></actuator>'
-    return mjcf(world, motor, gravity=f"0 0 {-s.gravity}")
-
-
-def chain(s: ChainPendulum) -> str:
-    """In angles between neighbours: MJCF has no others."""
-    world, motors = "", ""
-    for i in reversed(range(s.links)):
-        place = f'pos="0 0 {-s.length if i else 0}"'
-        joint = f'<joint name="joint_{i}" axis="0 -1 0"/>'
-        mass = f'<inertial pos="0 0 {-s.length}" mass="{s.mass}" {POINT}/>'
-        world = f"<body {place}>{joint}{mass}{world}</body>"
-        motors = f'<motor joint="joint_{i}"/>{motors}'
-    return mjcf(world, f"<actuator>{motors}</actuator>", gravity=f"0 0 {-s.gravity}")
+def bodies_of(system: LagrangianSystem, **changes: Any) -> dict[str, Any]:
+    """The mechanism of a system's linkage, in its joint coordinates; all joints with changes."""
+    found = system.linkage
+    assert found is not None
+    matrix = torch.linalg.solve(found.matrix.T, system.input_matrix).tolist()
+    return {
+        "joints": [joint._asdict() | changes for joint in found.joints],
+        "gravity": found.gravity,
+        "inputs": {"names": system.inputs, "matrix": matrix},
+    }
 
 
 BALL = '<geom size="0.1" contype="0" conaffinity="0"/>'
@@ -133,29 +105,3 @@ def compiled(text: str) -> Any:
 
 def read(text: str, **settings: Any) -> Multibody:
     return Multibody(mechanism=of_model(compiled(text), "model"), **{"time_step": 0.05, **settings})
-
-
-def urdf(s: Acrobot) -> str:
-    """The acrobot's links; a URDF has no motors."""
-
-    def link(name: str, mass: float, centre: float, inertia: float) -> str:
-        own = " ".join(f'i{axis}="{inertia}"' for axis in ("xx", "yy", "zz"))
-        return (
-            f'<link name="{name}"><inertial><origin xyz="0 0 {-centre}"/><mass value="{mass}"/>'
-            f'<inertia {own} ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        )
-
-    def joint(name: str, parent: str, child: str, at: float) -> str:
-        return (
-            f'<joint name="{name}" type="continuous">'
-            f'<parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="0 0 {-at}"/><axis xyz="0 -1 0"/><dynamics damping="0.1"/></joint>'
-        )
-
-    parts = (
-        link("upper", s.mass_1, s.centre_1, s.inertia_1),
-        link("lower", s.mass_2, s.centre_2, s.inertia_2),
-        joint("theta_1", "world", "upper", 0.0),
-        joint("theta_2", "upper", "lower", s.length_1),
-    )
-    return f'<robot name="acrobot"><link name="world"/>{"".join(parts)}</robot>'

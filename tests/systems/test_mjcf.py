@@ -13,7 +13,7 @@ from symo_exp.systems.mujoco import mujoco_dynamics, of_model
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
 from tests.systems import models
-from tests.systems.every import FLAT, SYSTEMS, points
+from tests.systems.every import SYSTEMS, points
 from tests.systems.models import compiled
 
 mujoco = library()
@@ -77,10 +77,9 @@ def test_a_urdf_has_the_same_bodies(name):
 @pytest.mark.parametrize("name", ["acrobot", "cartpole", "pendulum"])
 def test_a_urdf_of_thin_rods_is_read(name):
     """They have no inertia about themselves, which MuJoCo refuses."""
-    found = SYSTEMS[name].linkage
-    joints = [joint._asdict() for joint in found.joints]
-    read = of_model(compiled(urdf({"joints": joints, "gravity": found.gravity})), "again")
-    assert [joint["limits"] for joint in read["joints"]] == [None] * len(joints)
+    given = models.bodies_of(SYSTEMS[name])
+    read = of_model(compiled(urdf(given)), "again")
+    assert [joint["limits"] for joint in read["joints"]] == [None] * len(given["joints"])
 
 
 @pytest.mark.parametrize("write", [mjcf, urdf])
@@ -107,20 +106,3 @@ def test_comments_are_written(dashes, written):
     text = mjcf(MECHANISMS["pendulums"], comments=[f"not here: a {dashes} network{dashes}"])
     assert f"<!-- not here: a {written} network{written} -->" in text
     compiled(text)
-
-
-@pytest.mark.parametrize("name", FLAT)
-def test_the_linkage_of_a_system_has_its_inertia_and_potential(name):
-    system = SYSTEMS[name]
-    found = system.linkage
-    joints = [joint._asdict() for joint in found.joints]
-    inputs = {"names": [], "matrix": [[]] * len(joints), "ranges": []}
-    bodies = Multibody(
-        mechanism={"joints": joints, "gravity": found.gravity, "inputs": inputs}, time_step=1.0
-    )
-    q, *_ = points(system, 16)
-    z = q @ found.matrix.T
-    mass = found.matrix.T @ bodies.mass_matrix(z) @ found.matrix
-    torch.testing.assert_close(mass, system.mass_matrix(q), rtol=1e-12, atol=1e-12)
-    height = bodies.potential(z) - system.potential(q)
-    torch.testing.assert_close(height, height[:1].expand_as(height), rtol=1e-10, atol=1e-10)

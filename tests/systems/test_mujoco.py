@@ -13,10 +13,10 @@ from torch import Tensor
 
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import matvec
 from symo_exp.runs.load import from_folder
-from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.chain import ChainPendulum
+from symo_exp.systems.mjcf import mjcf as written
+from symo_exp.systems.mjcf import urdf
 from symo_exp.systems.mujoco import environment_mechanism, mujoco_dynamics, read_mechanism
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
@@ -24,30 +24,15 @@ from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.use.environments import environment
 from tests.systems import models
-from tests.systems.every import points
+from tests.systems.every import FLAT, points
 from tests.systems.models import compiled, mjcf, read
 from tests.tables import CONF
 
 mujoco = library()
 
-ACROBOT, CARTPOLE = stated("acrobot"), stated("cartpole")
-OURS: dict[str, tuple[LagrangianSystem, str]] = {
-    "acrobot": (ACROBOT, models.acrobot(ACROBOT)),
-    "cartpole": (CARTPOLE, models.cartpole(CARTPOLE)),
-} | {
-    f"chain_{n}": (ChainPendulum(n, mass=0.7, length=0.8), models.chain(
-        ChainPendulum(n, mass=0.7, length=0.8)
-    ))
-    for n in (1, 2, 3, 7)
-}  # fmt: skip
+ACROBOT = stated("acrobot")
+OURS = FLAT | {f"chain_{n}": ChainPendulum(n, mass=0.7, length=0.8) for n in (1, 2, 3, 7)}
 MODELS = models.MODELS | models.IN_FLUIDS
-
-
-def joints_of(system: LagrangianSystem) -> Tensor:
-    """``A`` of the joint angles ``A q``: differences, where ours are absolute."""
-    n = system.coordinates.n
-    one = torch.eye(n, dtype=torch.float64)
-    return one - torch.diag(one.new_ones(n - 1), -1) if isinstance(system, ChainPendulum) else one
 
 
 def numbers(text: str, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,11 +51,11 @@ def numbers(text: str, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("name", OURS)
 def test_our_systems_written_as_mjcf_have_the_same_dynamics(name: str) -> None:
     """Mass matrix, bias forces, energy and accelerations, in our coordinates."""
-    system, text = OURS[name]
+    system = OURS[name]
+    text = written(models.bodies_of(system))
+    found, a = read(text), system.linkage.matrix
     q, v, u = points(system, 32)
-    a, found = joints_of(system), read(text)
-    none = torch.zeros(32, len(found.inputs))
-    mass, _ = mujoco_dynamics(compiled(text), found, q @ a.T, v @ a.T, none)
+    mass, _ = mujoco_dynamics(compiled(text), found, q @ a.T, v @ a.T, u)
     bias, energy = numbers(text, q @ a.T, v @ a.T)
     exact = {"rtol": 1e-10, "atol": 1e-10}
     torch.testing.assert_close(system.mass_matrix(q), a.T @ mass @ a, **exact)
@@ -78,9 +63,7 @@ def test_our_systems_written_as_mjcf_have_the_same_dynamics(name: str) -> None:
     torch.testing.assert_close(rates.mass_rate_v - rates.q, bias @ a, **exact)
     ours = system.energy(q, v)
     torch.testing.assert_close(ours - ours[:1], energy - energy[:1], **exact)
-    force = matvec(a.mT.inverse(), u @ system.input_matrix.T)
-    controls = torch.linalg.lstsq(found.input_matrix.expand(32, -1, -1), force).solution
-    rate = found.acceleration(q @ a.T, v @ a.T, controls)
+    rate = found.acceleration(q @ a.T, v @ a.T, u)
     torch.testing.assert_close(rate, system.acceleration(q, v, u) @ a.T, rtol=1e-9, atol=1e-8)
 
 
@@ -318,7 +301,7 @@ def test_a_gymnasium_environment_is_a_system() -> None:
 
 def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
     file = tmp_path / "acrobot.urdf"
-    file.write_text(models.urdf(ACROBOT))
+    file.write_text(urdf(models.bodies_of(ACROBOT, damping=0.1)))
     found = Multibody(mechanism=read_mechanism(file), time_step=0.05)
     assert found.coordinates == ACROBOT.coordinates
     assert found.viscous == (0.1, 0.1)
