@@ -96,6 +96,7 @@ ODD_PARAMETERS: list[tuple[LagrangianSystem, Callable[..., Tensor]]] = [
 ]
 
 
+@pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize(("system", "equations"), ODD_PARAMETERS)
 def test_acceleration_is_that_of_the_literature(
     system: LagrangianSystem, equations: Callable[..., Tensor]

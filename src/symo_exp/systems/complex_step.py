@@ -35,6 +35,7 @@ def rates(
     return Rates(mass[0].real, mass_slope_v[n], dq.T)
 
 
+@torch.no_grad()
 def applies(
     lagrangian: Lagrangian, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
 ) -> bool:
