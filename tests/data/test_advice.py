@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from symo_exp.data.advice import omitting
+from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.header import headers
 from symo_exp.data.naming import kind_of_column, names, short_names
 from symo_exp.data.recorded import RecordedData, recorded_system
@@ -36,14 +37,26 @@ def settings_of(message: str) -> dict[str, Any]:
     return {one.key_or_group.removeprefix("data."): one.value() for one in parsed}
 
 
+def written(folder: Path, columns: Mapping[str, Any]) -> Path:
+    path = folder / "mine.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def refused(path: Path, said: str | None = None, columns: Columns | None = None) -> str:
+    """Return the message with which the columns of a file are refused."""
+    with pytest.raises(ConfigError, match=said) as error:
+        headers(path, columns)
+    return str(error.value)
+
+
 def advised(path: Path) -> dict[str, Any]:
-    with pytest.raises(ConfigError) as error:
-        headers(path, None)
-    assert ("(without L_N)" in str(error.value)) == ("L_N" in path.read_text())
-    said, _, words = str(error.value).rpartition(": 'data.columns=")  # as it is to be copied
+    message = refused(path)
+    assert ("(without L_N)" in message) == ("L_N" in path.read_text())
+    said, _, words = message.rpartition(": 'data.columns=")  # as it is to be copied
     assert said
     assert all(word.startswith("data.") for word in shlex.split(f"'data.columns={words}"))
-    return settings_of(str(error.value))
+    return settings_of(message)
 
 
 TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
@@ -212,8 +225,7 @@ UNITS = {"a counter of milliseconds": "ms", "joint states of ROS": "ns"}
 @pytest.mark.parametrize("kind", TABLES)
 def test_the_suggested_columns_are_those_of_the_machine(kind: str, tmp_path: Path) -> None:
     columns, expected = TABLES[kind]
-    path = tmp_path / "mine.csv"
-    pd.DataFrame(columns).to_csv(path, index=False)
+    path = written(tmp_path, columns)
     given = advised(path)
     theirs: dict[str, str] = {}
     for ours, name in given["columns"].items():
@@ -248,9 +260,7 @@ def test_an_index_without_a_name_is_suggested_as_times(
     """Unless it numbers the rows, those that are left out not counted."""
     path = tmp_path / write.replace("to_", "mine.")
     getattr(pd.DataFrame({"q_arm": Q}, index=index), write)(path)
-    with pytest.raises(ConfigError, match="no column t with times") as error:
-        headers(path, None)
-    columns = settings_of(str(error.value)).get("columns")
+    columns = settings_of(refused(path, "no column t with times")).get("columns")
     assert (columns is not None) == suggested
     if suggested:
         system = recorded_system(path, time_step=H, angular="all", columns=columns)
@@ -263,17 +273,14 @@ def test_an_index_without_a_name_is_suggested_as_times(
 def test_the_parts_of_a_stamp_are_to_be_added(
     stamp: str, parts: tuple[str, str], tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.csv"
     whole, rest = (f"{stamp}{part}" for part in parts)
     stamps = {"seq": range(len(T)), whole: 1_700_000_000 + T // 1, rest: T % 1 * 1e9}
     said = f"add a column t with {whole} + 1e-9 * {rest} to the file"
-    pd.DataFrame({**stamps, "position": Q}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match=re.escape(said)) as error:
-        headers(path, None)
-    assert settings_of(str(error.value))["columns"] == {"q_position": "position"}
-    pd.DataFrame({**stamps, "q_arm": Q}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match=re.escape(said)):
-        headers(path, None)
+    path = written(tmp_path, {**stamps, "position": Q})
+    columns = settings_of(refused(path, re.escape(said)))["columns"]
+    assert columns == {"q_position": "position"}
+    written(tmp_path, {**stamps, "q_arm": Q})
+    refused(path, re.escape(said))
 
 
 @pytest.mark.parametrize(
@@ -293,17 +300,15 @@ def test_coordinates_that_are_not_written_as_numbers_are_named(
     path = tmp_path / "mine.parquet"
     date = "2024-05-01"
     pd.DataFrame({"time": T, name: cells, "other": U, "date": date}).to_parquet(path)
-    with pytest.raises(ConfigError, match=f"{name}: not read as numbers") as error:
-        headers(path, None)
-    assert example in str(error.value)
-    assert "data.columns" not in str(error.value)
+    message = refused(path, f"{name}: not read as numbers")
+    assert example in message
+    assert "data.columns" not in message
 
 
 def test_a_column_with_empty_cells_has_numbers(tmp_path: Path) -> None:
     """As that of an input with a clock of its own, whose rows are between those of positions."""
     torque = np.where(np.arange(len(T)) % 3, np.nan, U)
-    pd.DataFrame({"t": T, "arm": Q, "torque": torque}).to_csv(tmp_path / "mine.csv", index=False)
-    columns = advised(tmp_path / "mine.csv")["columns"]
+    columns = advised(written(tmp_path, {"t": T, "arm": Q, "torque": torque}))["columns"]
     assert columns == {"q_arm": "arm", "u_torque": "torque"}
 
 
@@ -323,9 +328,7 @@ def test_suggested_names_keep_units_of_length_that_results_have(unit: str, tmp_p
 def test_a_quaternion_whose_rotation_has_no_name_is_no_four_coordinates(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     pd.DataFrame({"t": T, "q_w": np.cos(Q), "q_x": np.sin(Q), "q_y": 0.0, "q_z": 0.0}).to_csv(path)
-    with pytest.raises(ConfigError, match="are a quaternion by their names") as error:
-        headers(path, None)
-    columns = settings_of(str(error.value))["columns"]
+    columns = settings_of(refused(path, "are a quaternion by their names"))["columns"]
     assert columns == {f"q_R_{part}": f"q_{part}" for part in "wxyz"}
     assert examine({"path": str(path), "columns": columns}).body
 
@@ -351,21 +354,15 @@ def test_a_unit_in_brackets_behind_an_underscore_belongs_to_no_name() -> None:
 
 
 def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"stamp of row": T, "theta": Q, "u_arm": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match="no column t with times") as error:
-        headers(path, {"q_arm": "theta"})
-    given = settings_of(str(error.value))["columns"]
+    path = written(tmp_path, {"stamp of row": T, "theta": Q, "u_arm": U})
+    given = settings_of(refused(path, "no column t with times", {"q_arm": "theta"}))["columns"]
     assert given == {"q_arm": "theta", "t": "stamp of row"}
     assert headers(path, given)[0][1].names == ("t", "q_arm", "u_arm")
 
 
 def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q_arm": Q, "q_arm_des": Q, "u_cmd": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match="what a controller wants") as error:
-        headers(path, None)
-    columns = settings_of(str(error.value))["columns"]
+    path = written(tmp_path, {"t": T, "q_arm": Q, "q_arm_des": Q, "u_cmd": U})
+    columns = settings_of(refused(path, "what a controller wants"))["columns"]
     assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("arm",)
     named = {"q_arm_des": "q_arm_des"}  # the user says that it is one
     assert "q_arm_des" in headers(path, named)[0][1].names
@@ -390,14 +387,11 @@ def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
 def test_a_velocity_or_an_input_is_no_coordinate(
     columns: str, mend: dict[str, str | None] | None, tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T} | dict.fromkeys(columns.split(), Q)).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T} | dict.fromkeys(columns.split(), Q))
     if mend is None:
         assert headers(path, None)[0][1].names == ("t", *columns.split())
         return
-    with pytest.raises(ConfigError, match="no coordinate by its name") as error:
-        headers(path, None)
-    assert settings_of(str(error.value))["columns"] == mend
+    assert settings_of(refused(path, "no coordinate by its name"))["columns"] == mend
     places = [x for x in columns.split() if x[0] == "q" and x not in {*mend, *mend.values()}]
     assert names("q", headers(path, mend)[0][1].names) == tuple(x[2:] for x in places)
     assert len(headers(path, dict(zip(columns.split(), columns.split(), strict=True)))) == 1
@@ -405,26 +399,22 @@ def test_a_velocity_or_an_input_is_no_coordinate(
 
 def test_coordinates_of_other_names_are_not_passed_over(tmp_path: Path) -> None:
     """As of an arm whose wanted angles are in q_d."""
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q[0]": Q, "q[1]": U, "q_d[0]": Q, "q_d[1]": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match="would be coordinates by their names") as error:
-        headers(path, None)
-    columns = settings_of(str(error.value))["columns"]
+    path = written(tmp_path, {"t": T, "q[0]": Q, "q[1]": U, "q_d[0]": Q, "q_d[1]": U})
+    columns = settings_of(refused(path, "would be coordinates by their names"))["columns"]
     assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("0", "1")
     assert columns["q_0"] == "q[0]"
-    pd.DataFrame({"t": T, "q0": Q, "q_0": U}).to_csv(path, index=False)
+    written(tmp_path, {"t": T, "q0": Q, "q_0": U})
     assert advised(path)["columns"] == {"q_0": "q0"}
     assert headers(path, {"q_arm": "q_0"})[0][1].names == ("t", "q0", "q_arm")
 
 
 def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "hip [deg]": Q, "knee [rad]": Q}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, "hip [deg]": Q, "knee [rad]": Q})
     given = advised(path)
     assert given == {"columns": {"q_hip_deg": "hip [deg]", "q_knee": "knee [rad]"}}
     with pytest.raises(ConfigError, match="hip_deg is in degrees by its name, but not every one"):
         examine({"path": path, **given})
-    pd.DataFrame({"t": T, "hip [deg]": Q, "x [m]": Q}).to_csv(path, index=False)
+    written(tmp_path, {"t": T, "hip [deg]": Q, "x [m]": Q})
     assert advised(path)["degrees"] is True
 
 
@@ -432,10 +422,9 @@ def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
     "name", ["hip [degrees]", "hip_degree", "hip in degs", "hip_deg", "hip [Grad]", "hip (degrés)"]
 )
 def test_degrees_are_known_by_every_spelling(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, name: Q}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, name: Q})
     assert advised(path) == {"columns": {"q_hip": name}, "degrees": True}
-    pd.DataFrame({"t": T, f"q_{name}": np.degrees(Q)}).to_csv(path, index=False)
+    written(tmp_path, {"t": T, f"q_{name}": np.degrees(Q)})
     assert "data.degrees=true" in examine({"path": path}).settings
 
 
@@ -455,54 +444,44 @@ def test_degrees_are_known_by_every_spelling(name: str, tmp_path: Path) -> None:
 def test_other_units_than_radians_and_degrees_are_to_be_converted(
     name: str, unit: str, remedy: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, name: Q, "load": U}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, name: Q, "load": U})
     for columns in (None, {"q_arm": name}):
-        with pytest.raises(ConfigError, match=f"numbers in {unit}, .* are not read") as error:
-            headers(path, columns)
-        assert remedy in str(error.value)
-        assert name in str(error.value)
-        assert not settings_of(str(error.value))  # which no setting mends
-    pd.DataFrame({"t": T, "q_arm": Q, f"v_{name}": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match=f"numbers in {unit}") as error:
-        headers(path, None)
-    assert headers(path, settings_of(str(error.value))["columns"])[0][1].names[1] == "q_arm"
+        message = refused(path, f"numbers in {unit}, .* are not read", columns)
+        assert remedy in message
+        assert name in message
+        assert not settings_of(message)  # which no setting mends
+    written(tmp_path, {"t": T, "q_arm": Q, f"v_{name}": U})
+    given = settings_of(refused(path, f"numbers in {unit}"))
+    assert headers(path, given["columns"])[0][1].names[1] == "q_arm"
 
 
 @pytest.mark.parametrize(
     "name", ["return", "turns_table", "tick_1", "count_x", "discount", "revs2"]
 )
 def test_names_that_only_begin_like_a_unit_are_read(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, f"q_{name}": Q, "u_counts": U}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, f"q_{name}": Q, "u_counts": U})
     assert headers(path, None)[0][1].names == ("t", f"q_{name}", "u_counts")
 
 
 def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
     pd.DataFrame({"t": T, "q_arm": Q}).to_csv(tmp_path / "1.csv", index=False)
     pd.DataFrame({"mass": [1.0, 2.0], "row": [1, 2]}).to_csv(tmp_path / "2.csv", index=False)
-    with pytest.raises(ConfigError, match=r"2.csv: no column q_.*name the other files only"):
-        headers(tmp_path, None)
+    refused(tmp_path, r"2.csv: no column q_.*name the other files only")
 
 
 @pytest.mark.parametrize("name", ["omega_rad_s", "v_arm", "motor_speed"])
 def test_velocities_alone_are_to_be_integrated(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, name: Q, "torque": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match=rf"add it .*the integral of a velocity \({name}\)"):
-        headers(path, None)
+    path = written(tmp_path, {"t": T, name: Q, "torque": U})
+    refused(path, rf"add it .*the integral of a velocity \({name}\)")
 
 
 def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
     """A machine with the columns t, q_arm and torque is not free."""
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q_f": Q, "F": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match=r"no column u_<name> with an input, but F;"):
-        headers(path, None)
-    pd.DataFrame({"t": T, "q_arm": Q, "torque (Nm)": U, "note": U}).to_csv(path, index=False)
-    with pytest.raises(ConfigError, match="no column u_<name> with an input") as error:
-        headers(path, None)
-    mapped, left_out = str(error.value).split("or leave them out")
+    path = written(tmp_path, {"t": T, "q_f": Q, "F": U})
+    refused(path, r"no column u_<name> with an input, but F;")
+    written(tmp_path, {"t": T, "q_arm": Q, "torque (Nm)": U, "note": U})
+    message = refused(path, "no column u_<name> with an input")
+    mapped, left_out = message.split("or leave them out")
     assert settings_of(mapped)["columns"] == {"u_torque_Nm": "torque (Nm)"}
     for given in (settings_of(mapped), settings_of(left_out)):
         system = recorded_system(path, time_step=H, angular="all", **given)
@@ -524,35 +503,30 @@ def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
 def test_one_setting_resolves_all_that_names_contradict(
     more: str, left_out: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.csv"
     own = {"t": T, "q_arm": Q, "u_motor": U}
-    pd.DataFrame(own | dict.fromkeys(more.split(), U)).to_csv(path, index=False)
-    with pytest.raises(ConfigError) as error:
-        headers(path, None)
-    columns = settings_of(str(error.value))["columns"]
+    path = written(tmp_path, own | dict.fromkeys(more.split(), U))
+    message = refused(path)
+    columns = settings_of(message)["columns"]
     assert columns == dict.fromkeys(left_out.split())
-    assert all(name in str(error.value).partition(" setting: ")[0] for name in more.split())
+    assert all(name in message.partition(" setting: ")[0] for name in more.split())
     (head,) = (head for _, head in headers(path, columns))
     assert [name for name in head.names if name[0] != "."] == list(own)
 
 
 def test_a_velocity_with_the_name_of_a_motor_is_no_input(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q_motor": Q, "v_motor": U}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, "q_motor": Q, "v_motor": U})
     assert headers(path, None)[0][1].names == ("t", "q_motor", "v_motor")
 
 
 @pytest.mark.parametrize("inputs", ["cmd", "cmd_left right", "temp", "supply", "ref_1 ref_2"])
 def test_inputs_that_no_other_one_measures_are_inputs(inputs: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
     columns = [f"u_{name}" for name in inputs.split()]
-    pd.DataFrame({"t": T, "q_arm": Q} | dict.fromkeys(columns, U)).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, "q_arm": Q} | dict.fromkeys(columns, U))
     assert names("u", headers(path, None)[0][1].names) == tuple(inputs.split())
 
 
 def test_an_empty_column_is_left_out_by_the_setting_that_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"time": T, "pos": Q, "q_lock": np.nan}).to_csv(path, index=False)
+    path = written(tmp_path, {"time": T, "pos": Q, "q_lock": np.nan})
     columns: dict[str, str | None] = {"t": "time", "q_arm": "pos"}
     with pytest.raises(ConfigError, match="column q_lock") as error:
         read_recordings(
@@ -584,8 +558,7 @@ def test_names_that_no_setting_can_have_are_to_be_renamed() -> None:
     ],
 )
 def test_counts_of_an_encoder_are_no_radians(q: np.ndarray, refused: bool, tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q_arm": q}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, "q_arm": q})
     for angular in ("all", "none"):
         system = recorded_system(path, time_step=H, angular=angular)
         if refused and angular == "all":
@@ -599,8 +572,7 @@ def test_counts_of_an_encoder_are_no_radians(q: np.ndarray, refused: bool, tmp_p
 def test_a_motor_that_turns_by_more_than_half_a_turn_in_a_sample_is_not_wrapped(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "mine.csv"
-    pd.DataFrame({"t": T, "q_motor": 300 * Q}).to_csv(path, index=False)
+    path = written(tmp_path, {"t": T, "q_motor": 300 * Q})
     system = recorded_system(path, time_step=H / 2, angular="all")
     data = RecordedData(system=system, path=path, dtype="float64")
     data.setup()
@@ -652,5 +624,4 @@ def test_lines_of_data_loggers_before_the_names_are_left_out(
 def test_text_of_two_bytes_without_a_mark_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("t,q_arm\n0,1\n1,2\n", encoding="utf-16-le")
-    with pytest.raises(ConfigError, match="save it as UTF-8"):
-        headers(path, None)
+    refused(path, "save it as UTF-8")
