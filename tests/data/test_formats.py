@@ -15,7 +15,7 @@ import pytest
 import scipy.io
 import torch
 
-from symo_exp.data.advice import as_setting
+from symo_exp.data.advice import Columns, as_setting
 from symo_exp.data.arrays import from_arrays
 from symo_exp.data.bags import joint_states
 from symo_exp.data.elements import check_elements
@@ -23,7 +23,7 @@ from symo_exp.data.formats import readable, table_of
 from symo_exp.data.parts import without
 from symo_exp.data.paths import files
 from symo_exp.data.recorded import RecordedData, recorded_system
-from symo_exp.data.table import read_recordings
+from symo_exp.data.table import RecordingTable, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.table import system as stated
@@ -44,6 +44,14 @@ def load(path: object, *, columns: object = None, **settings: object) -> Recorde
     data = RecordedData(system=system, path=path, columns=columns, dtype="float64", **settings)
     data.setup()
     return data
+
+
+def read(
+    table: pd.DataFrame, folder: Path, system: Recorded = DRIVEN, columns: Columns | None = None
+) -> RecordingTable:
+    """Write a table and read it."""
+    table.to_csv(folder / "x.csv", index=False)
+    return read_recordings(folder / "x.csv", system, columns)
 
 
 def csv(name: str, change: Callable[[pd.DataFrame], pd.DataFrame] = lambda t: t, **options):
@@ -453,10 +461,8 @@ def test_a_few_numbers_with_separators_of_thousands_are_not_left_out(
 )
 def test_dates_are_read_as_seconds_from_the_first_one(dated, rounding, tmp_path: Path) -> None:
     table = motion()
-    table.assign(t=dated(table.t)).to_csv(tmp_path / "dated.csv")
-    table.to_csv(tmp_path / "x.csv")
     (found,), (expected,) = (
-        read_recordings(tmp_path / name, DRIVEN).recordings for name in ("dated.csv", "x.csv")
+        read(one, tmp_path).recordings for one in (table.assign(t=dated(table.t)), table)
     )
     np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=rounding)
 
@@ -478,8 +484,7 @@ def test_times_of_a_fast_clock_are_seconds(start: float, tmp_path: Path) -> None
 
 def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path) -> None:
     table = motion()
-    table.assign(q_0=table.q_0.where(table.index % 50 > 0)).to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(table.assign(q_0=table.q_0.where(table.index % 50 > 0)), tmp_path)
     kept = table[table.index % 50 > 0]
     np.testing.assert_allclose(found.recordings[0].samples.t, kept.t, rtol=1e-12)
     np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], kept.q_0, rtol=1e-12)
@@ -493,8 +498,7 @@ def test_inputs_far_from_all_others_are_used_and_it_is_said(
 ) -> None:
     """They may be those of a sensor that fails, or a short push."""
     table = motion()
-    table.assign(u_0=table.u_0.mask(table.index % 500 == 7, failure)).to_csv(tmp_path / "x.csv")
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(table.assign(u_0=table.u_0.mask(table.index % 500 == 7, failure)), tmp_path)
     assert found.recordings[0].samples.u[7] == failure
     said = f"u_0 is far from its other values in 6 rows, such as {failure:g} in data row 8"
     assert any(said in note for note in found.notes) == noted
@@ -506,8 +510,7 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
     anew = [
         table.iloc[rows].assign(t=table.t.iloc[rows] - table.t.iloc[rows[0]]) for rows in pieces
     ]
-    pd.concat(anew).to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(pd.concat(anew), tmp_path)
     assert "3 recordings" in found.notes[-1]
     for one, rows in zip(found.recordings, pieces, strict=True):
         np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
@@ -521,11 +524,9 @@ def test_a_counter_of_times_goes_on_where_it_starts_anew(name, unit, count, tmp_
     """Those of microcontrollers have 16 or 32 bits."""
     times = 0.01 * np.arange(8000)
     counts = np.round(times / unit).astype(int)
-    path = tmp_path / "x.csv"
     for first in (0, count - 150):
         table = pd.DataFrame({name: (counts + first) % count, "q_0": np.sin(times)})
-        table.to_csv(path, index=False)
-        found = read_recordings(path, FREE, {"t": "ms"} if name == "ms" else None)
+        found = read(table, tmp_path, FREE, {"t": "ms"} if name == "ms" else None)
         (one,) = found.recordings
         assert one.samples.t - one.samples.t[0] == pytest.approx(times)
         told = any("counter starts anew" in note for note in found.notes)
@@ -535,24 +536,21 @@ def test_a_counter_of_times_goes_on_where_it_starts_anew(name, unit, count, tmp_
 @pytest.mark.parametrize("every", [2, 10])
 def test_inputs_of_another_clock_are_read_as_the_message_says(every: int, tmp_path: Path) -> None:
     t = 0.01 * np.arange(900)
-    path, table = tmp_path / "x.csv", pd.DataFrame({"t": t, "q_0": np.sin(t), "u_0": np.cos(t)})
+    table = pd.DataFrame({"t": t, "q_0": np.sin(t), "u_0": np.cos(t)})
     same = table.assign(u_0=table.u_0.where(table.index % every == 0))
     own = pd.concat([table[["t", "q_0"]], table.assign(t=t + 0.003).iloc[::every][["t", "u_0"]]])
     for change in (same, own.sort_values("t")):
-        change.to_csv(path, index=False)
         with pytest.raises(ConfigError, match="inputs keep their last values") as error:
-            read_recordings(path, DRIVEN)
+            read(change, tmp_path)
         assert "null" not in str(error.value)  # without its input, a machine is another one
-        change.assign(u_0=change.u_0.ffill()).dropna().to_csv(path, index=False)
-        (one,) = read_recordings(path, DRIVEN).recordings
+        (one,) = read(change.assign(u_0=change.u_0.ffill()).dropna(), tmp_path).recordings
         assert len(one.samples.t) >= 899
 
 
 @pytest.mark.parametrize("label", [{}, {"trajectory": 7}])
 def test_any_number_of_rows_may_be_written_twice(label, tmp_path: Path) -> None:
     table = motion().assign(**label)
-    table.loc[table.index.repeat(2)].to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(table.loc[table.index.repeat(2)], tmp_path)
     np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], table.q_0, rtol=1e-12)
     assert "3000 of 6000 rows are copies and are left out" in found.notes
 
@@ -562,12 +560,10 @@ def test_a_clock_that_is_set_back_by_a_part_of_its_time_is_refused(label, tmp_pa
     """Its times repeat earlier ones, and no other rows would tell of it."""
     table = motion().assign(**label)
     late = (table.t - 0.5 * (table.index >= 1500)).round(2)
-    table.assign(t=late).to_csv(tmp_path / "x.csv", index=False)
     with pytest.raises(ConfigError, match=r"goes back in time after t=14.99"):
-        read_recordings(tmp_path / "x.csv", DRIVEN)
+        read(table.assign(t=late), tmp_path)
     for order in (table.sample(frac=1, random_state=0), table[::-1]):
-        order.to_csv(tmp_path / "x.csv", index=False)
-        (found,) = read_recordings(tmp_path / "x.csv", DRIVEN).recordings
+        (found,) = read(order, tmp_path).recordings
         np.testing.assert_allclose(found.samples.q[:, 0], table.q_0, rtol=1e-12)
 
 
@@ -586,16 +582,15 @@ def test_a_column_that_changes_where_positions_jump_is_not_passed_over(
     t = 0.01 * np.arange(600)
     q = np.sin(t - k + start(k))
     table = pd.DataFrame({"t": t + clock * k, "q_0": q, "Versuch": k, "noise": np.arange(600) % 2})
-    table.to_csv(tmp_path / "x.csv", index=False)
     if not told:
-        assert len(read_recordings(tmp_path / "x.csv", FREE).recordings) == 1
+        assert len(read(table, tmp_path, FREE).recordings) == 1
         return
     with pytest.raises(ConfigError, match="positions jump where Versuch changes") as error:
-        read_recordings(tmp_path / "x.csv", FREE)
+        read(table, tmp_path, FREE)
     # without the column, one of the leaps is too small to be told from a motion
     for columns, count in (({"trajectory": "Versuch"}, 6), ({"Versuch": None}, 5)):
         assert as_setting(columns) in str(error.value)
-        assert len(read_recordings(tmp_path / "x.csv", FREE, columns).recordings) == count
+        assert len(read(table, tmp_path, FREE, columns).recordings) == count
 
 
 def struck(q: np.ndarray) -> np.ndarray:
@@ -631,8 +626,7 @@ def test_positions_that_leap_begin_a_recording(change, count, pause: float, tmp_
     t = 0.01 * np.arange(900)
     q = np.array([1.0, 1.5, 0.8])[k] * np.cos(3.0 * (t - 3.0 * k))
     table = pd.DataFrame({"t": t + pause * k, "q_0": change(q)})
-    table.to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", FREE)
+    found = read(table, tmp_path, FREE)
     assert len(found.recordings) == count
     assert any("leap 2 times, first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
 
@@ -651,8 +645,7 @@ def test_positions_that_a_slow_sensor_repeats_are_left_out(rows, shown, tmp_path
     k = np.arange(900)
     t, place = 0.01 * k, np.sin(0.01 * rows(k))
     table = pd.DataFrame({"t": t, "q_0": place, "u_0": k % 5 == 0}).astype(float)
-    table.to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(table, tmp_path)
     (one,) = found.recordings
     assert len(one.samples.q) == shown
     assert any("repeats its positions" in note for note in found.notes) == (shown < 900)
@@ -667,8 +660,7 @@ def test_positions_that_an_encoder_repeats_are_kept(speed: float, tmp_path: Path
     k = np.arange(900)
     for place in (np.floor(speed * k), np.round(50.0 * np.sin(0.01 * speed * k))):
         table = pd.DataFrame({"t": 0.01 * k, "q_0": 0.01 * place})
-        table.to_csv(tmp_path / "x.csv", index=False)
-        (one,) = read_recordings(tmp_path / "x.csv", FREE).recordings
+        (one,) = read(table, tmp_path, FREE).recordings
         assert len(one.samples.q) == 900
 
 
@@ -677,8 +669,7 @@ def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> N
     """The clock goes on from one to the next, so that nothing else tells them apart."""
     table = motion(6.0)
     number = np.arange(len(table)) // 200
-    table.assign(**{name: number}).to_csv(tmp_path / "x.csv", index=False)
-    found = read_recordings(tmp_path / "x.csv", DRIVEN)
+    found = read(table.assign(**{name: number}), tmp_path)
     assert [one.label for one in found.recordings] == ["0", "1", "2"]
     assert f"column {name} is read as trajectory" in found.notes
 
@@ -688,8 +679,7 @@ def test_times_of_day_are_read_without_a_warning(tmp_path: Path) -> None:
     table = motion(6.0)
     clock = pd.Timestamp("2024-05-01 23:00") + pd.to_timedelta(table.t, "s")
     words = clock.dt.strftime("%H:%M:%S.%f")
-    table.assign(t=words).to_csv(tmp_path / "x.csv", index=False)
-    (found,) = read_recordings(tmp_path / "x.csv", DRIVEN).recordings
+    (found,) = read(table.assign(t=words), tmp_path).recordings
     np.testing.assert_allclose(found.samples.t, table.t, rtol=0.0, atol=1e-6)
 
 
