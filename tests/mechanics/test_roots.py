@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Broyden, Newton, attach_root
 
 
@@ -163,5 +164,5 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
     "arguments", [{"tolerance": 0.0}, {"max_iterations": 0}, {"stopping": "x"}]
 )
 def test_invalid_settings_are_refused(arguments):
-    with pytest.raises(ValueError, match=f"{next(iter(arguments))} must be"):
+    with pytest.raises(ConfigError, match=f"{next(iter(arguments))}=.*: expected"):
         Newton(**arguments)

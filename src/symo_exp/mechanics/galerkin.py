@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import Self, override
 
+from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec, solve
 from symo_exp.mechanics.roots import (
     Rule,
@@ -84,14 +85,9 @@ class Galerkin(VariationalIntegrator):
     def __init__(
         self, *, stages: int, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
     ) -> None:
-        if stages < 1:
-            raise ValueError(f"stages must be at least 1, got {stages}")
-        if not tolerance > 0.0:
-            raise ValueError(f"tolerance must be positive, got {tolerance}")
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-        self.tolerance, self.max_iterations = tolerance, max_iterations
-        self.stages: int = stages
+        self.tolerance = real("tolerance", tolerance, above=0)
+        self.max_iterations = whole_number("max_iterations", max_iterations)
+        self.stages: int = whole_number("stages", stages)
         self.order = 2 * stages
         self.iterates = stages > 1
         self.basis = Basis(stages)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from typing_extensions import Self, override
 
+from symo_exp.checks import one_of, real, whole_number
 from symo_exp.mechanics.lagrangian import matvec, solve
 from symo_exp.mechanics.rows import put_rows, take_rows
 
@@ -214,11 +215,8 @@ class RootFinder(ABC):
     The residual of a light machine is small even far from its root."""
 
     def __init__(self, *, tolerance: float, max_iterations: int) -> None:
-        if not tolerance > 0.0:
-            raise ValueError(f"tolerance must be positive, got {tolerance}")
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.tolerance = real("tolerance", tolerance, above=0)
+        self.max_iterations = whole_number("max_iterations", max_iterations)
 
     @property
     def bounds(self) -> Bounds:
@@ -253,9 +251,7 @@ class Newton(RootFinder):
         stopping: Literal["row", "batch"] = "row",
     ) -> None:
         super().__init__(tolerance=tolerance, max_iterations=max_iterations)
-        if stopping not in ("row", "batch"):
-            raise ValueError(f"stopping must be row or batch, got {stopping}")
-        self.stopping = stopping
+        self.stopping = one_of("stopping", stopping, ("row", "batch"))
 
     @override
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
