@@ -172,7 +172,7 @@ class ChartDerivatives(NamedTuple):
 
 
 @dataclass(eq=False)
-class ChartLagrangian(Rowwise, Lagrangian):
+class ChartLagrangian(Rowwise):
     """``ℓ(φ, φ̇)`` at the Gauss points of intervals that start at ``q₀``.
 
     Args:
@@ -189,22 +189,10 @@ class ChartLagrangian(Rowwise, Lagrangian):
     _q0: Float[Tensor, "batch N"]
     _controls: Forces | None
 
-    @override
     def expand(self, q: Float[Tensor, "rows n"], v: Float[Tensor, "rows n"]) -> ChartExpansion:
+        """Return ``ℓ`` around ``(φ, φ̇)``."""
         base, u = at_points(self._basis, self._q0, self._controls)
         return ChartExpansion.of(self._controlled, self._space, base, u, q, v)
-
-    @override
-    def mass_matrix(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
-        jacobian = Chart.of(self._space, q).jacobian
-        return jacobian.mT @ self._controlled.lagrangian.mass_matrix(self._point(q)) @ jacobian
-
-    @override
-    def potential(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, " rows"]:
-        return self._controlled.lagrangian.potential(self._point(q))
-
-    def _point(self, q: Tensor) -> Tensor:
-        return self._space.point(at_points(self._basis, self._q0, None)[0], q)
 
 
 @dataclass(eq=False)

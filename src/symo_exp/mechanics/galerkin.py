@@ -25,7 +25,7 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float
@@ -57,6 +57,14 @@ TOLERANCE, MOST_UPDATES = 1e-12, 12
 """Of the inner coefficients, by default and in evaluation."""
 SLOW = 0.1
 """Ratio of residuals after and before an update above which the update gains little."""
+
+
+class Expandable(Protocol):
+    """``ℒ``, or ``ℓ`` in charts of rotations."""
+
+    def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
+        """Return it around ``(q, v)``."""
+        ...
 
 
 class Galerkin(VariationalIntegrator):
@@ -119,7 +127,7 @@ class Galerkin(VariationalIntegrator):
     @override
     @torch.no_grad()
     def expand(
-        self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+        self, lagrangian: Expandable, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
         problem = InnerEquations(self.basis, lagrangian, q0, q1, h, forces)
         start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
@@ -145,7 +153,7 @@ class Galerkin(VariationalIntegrator):
     @override
     @torch.no_grad()
     def expand_at(
-        self, lagrangian: Lagrangian, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
+        self, lagrangian: Expandable, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
         q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], *q0.shape)
         return GalerkinExpansion.of(self.basis, lagrangian, q0, q1, c, h, forces)
@@ -176,7 +184,7 @@ class InnerEquations(Rowwise):
     """
 
     basis: Basis
-    lagrangian: Lagrangian
+    lagrangian: Expandable
     q0: Tensor
     q1: Tensor
     h: float
@@ -449,7 +457,7 @@ class GalerkinExpansion(CondensedExpansion):
     @staticmethod
     def of(
         basis: Basis,
-        lagrangian: Lagrangian,
+        lagrangian: Expandable,
         q0: Tensor,
         q1: Tensor,
         c: Tensor,
