@@ -142,8 +142,7 @@ class ScaledExpansion(Expansion):
 
     @override
     def curvature(self, before: Expansion | None = None) -> Curvature:
-        inner = before._at if isinstance(before, ScaledExpansion) else None
-        qq, vq, qv = self._at.curvature(inner)
+        qq, vq, qv = self._at.curvature()
         matrix = self._scale.matrix
         return Curvature(matrix(qq, 0), matrix(vq, 1), matrix(qv, 1))
 

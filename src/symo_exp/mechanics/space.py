@@ -218,14 +218,12 @@ class Space:
         self, q: Float[Tensor, "*batch N"], step: Float[Tensor, "*batch n"]
     ) -> Float[Tensor, "*batch N"]:
         """Return ``q + step``, rotations ``R exp step``."""
-        return q + step if not self.rotations else self.point(q, self.origin(q) + step)
+        return self.point(q, self.origin(q) + step)
 
     def difference(
         self, start: Float[Tensor, "*batch N"], end: Float[Tensor, "*batch N"]
     ) -> Float[Tensor, "*batch n"]:
         """Return the step that ``retract`` takes from ``start`` to ``end``."""
-        if not self.rotations:
-            return end - start
         return self.chart(start, end) - self.origin(start)
 
     def extrapolated(
@@ -275,8 +273,6 @@ class Space:
 
     def along(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
         """Return the nodes of motions in the charts at their first ones."""
-        if not self.rotations:
-            return q
         return self.chart(q[..., :1, :].expand_as(q), q)
 
     def unrolled(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
@@ -365,8 +361,6 @@ class Space:
         self, v: Float[Tensor, "batch n"], p: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         """Return ``ω × p`` of the rotations, zero elsewhere: ``ṗ + ω × p`` is the torque."""
-        if not self.rotations:
-            return torch.zeros_like(p)
         (flat, omega), (_, spin) = self._parts(v), self._parts(p)
         turning = torch.linalg.cross(omega, spin)
         return with_rotations(torch.zeros_like(flat), turning.flatten(1))
