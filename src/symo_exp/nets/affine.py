@@ -10,7 +10,8 @@ samples row ``r`` belongs to sample ``r mod N``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -64,7 +65,7 @@ def repeated(parameter: Tensor, batch: int) -> Float[Tensor, "batch k"]:
 def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
     """Return ``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
     if _record is not None:
-        _record.keep(weight, *pairs)
+        _record[weight.data_ptr()] += pairs
         return None
     (cotangent, x), *others = pairs
     gradient = cotangent.T @ x
@@ -77,21 +78,12 @@ def bias_gradient(bias: Tensor, cotangent: Float[Tensor, "rows out"]) -> Tensor 
     """Return ``Σ ḡ`` over all rows."""
     if _record is None:
         return cotangent.sum(0)
-    _record.keep(bias, (cotangent, cotangent))
+    _record[bias.data_ptr()].append((cotangent, cotangent))
     return None
 
 
-class _Record:
-    """The factors of each parameter's gradient, by the address of its data."""
-
-    def __init__(self) -> None:
-        self.pairs: dict[int, list[Pair]] = {}
-
-    def keep(self, parameter: Tensor, *pairs: Pair) -> None:
-        self.pairs.setdefault(parameter.data_ptr(), []).extend(pairs)
-
-
-_record: _Record | None = None
+_record: defaultdict[int, list[Pair]] | None = None
+"""The factors of each parameter's gradient, by the address of its data."""
 
 
 class Linearised(NamedTuple):
@@ -123,14 +115,14 @@ def parameter_jacobian(
     global _record
     if _record is not None:
         raise RuntimeError("parameter_jacobian cannot be nested")
-    _record = _Record()
+    _record = defaultdict(list)
     try:
         residuals = function()
         samples, count = residuals.shape
         jacobian = residuals.new_zeros(samples, count, sum(p.numel() for p in parameters))
         by_input = tuple(residuals.new_zeros(samples, count, x.shape[1]) for x in inputs)
         for k in range(count):
-            _record.pairs.clear()
+            _record.clear()
             summed = torch.autograd.grad(
                 residuals[:, k].sum(),
                 (*inputs, *parameters),
@@ -142,7 +134,7 @@ def parameter_jacobian(
                     target[:, k] = gradient
             if any(gradient is not None for gradient in summed[len(inputs) :]):
                 raise RuntimeError("a parameter is used outside nets.affine: no Jacobian by sample")
-            _assemble(_record.pairs, parameters, jacobian[:, k])
+            _assemble(_record, parameters, jacobian[:, k])
     finally:
         _record = None
     return Linearised(residuals.detach(), jacobian, by_input)
@@ -150,7 +142,7 @@ def parameter_jacobian(
 
 @torch.no_grad()
 def _assemble(
-    pairs: dict[int, list[Pair]],
+    pairs: Mapping[int, list[Pair]],
     parameters: Sequence[Tensor],
     rows: Float[Tensor, "samples parameters"],
 ) -> None:
