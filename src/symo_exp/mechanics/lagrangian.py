@@ -153,15 +153,19 @@ class Lagrangian(ABC):
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         """Return ``∂ℒ/∂q`` and ``∂ℒ/∂v``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
-        with torch.enable_grad():
-            q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-            p = self.momentum(q_, v)
-            lagrangian = 0.5 * (v * p).sum(-1) - self.potential(q_)
-            # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
-            total = lagrangian.sum() + 0.0 * q_.sum()
-            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
-            dq = self.space.pull(q_, dq)
-        return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
+        *_, found = self._around(q, v, tracked)
+        return found if tracked else Gradients(*(x.detach() for x in found))
+
+    @torch.enable_grad()
+    def _around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Gradients]:
+        """Return ``q`` as a leaf, ``H`` and the gradients; the graph of ``H v`` is kept."""
+        q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
+        mass, potential = self.terms(q_)
+        p = matvec(mass, v)
+        # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
+        total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
+        (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
+        return q_, mass, Gradients(self.space.pull(q_, dq), p)
 
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return the terms of the Euler-Lagrange equations (3.11), (3.12)."""

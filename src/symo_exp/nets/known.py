@@ -21,15 +21,13 @@ from symo_exp.mechanics.lagrangian import (
     Lagrangian,
     Rates,
     jacobian,
-    matvec,
 )
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Constant, Coordinates
 from symo_exp.nets.affine import by_sample, repeated
 from symo_exp.nets.roles import mark
+from symo_exp.nets.triangle import Triangle
 
-TRIANGLE = 10
-"""Entries of an upper triangular 4 x 4 matrix."""
 LEAST_REST = 0.2
 """Learned width of dry friction over the initial one, at least."""
 SHIFT, AGREEMENT = 1e-4, 1e-5
@@ -73,13 +71,10 @@ class KnownLagrangian(nn.Module, Lagrangian):
             raise ConfigError("lagrangian.fixed: at least one constant has to be free")
         self.given = {name: known[name] for name in (*self.numbers, *self.bodies)}
         self._roots = {name: _upper(known[name].value) for name in self.bodies}
-        upper = torch.triu_indices(4, 4)
-        place = torch.full((4, 4), TRIANGLE)
-        place[upper[0], upper[1]] = torch.arange(TRIANGLE)
-        self.place: Tensor
-        self.register_buffer("place", place, persistent=False)
+        self._triangle = Triangle(4)
         self.logarithms = nn.Parameter(torch.zeros(len(self.numbers)))
-        self.factors = nn.Parameter(torch.zeros(TRIANGLE * len(self.bodies)))
+        self.factors = nn.Parameter(torch.zeros(self._triangle.entries * len(self.bodies)))
+        """The upper triangle of each ``E``, row by row; logarithms on its diagonal."""
         mark(self.parameters(), "coefficient")
         self._check_derivatives()
 
@@ -115,16 +110,14 @@ class KnownLagrangian(nn.Module, Lagrangian):
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         if self._closed_form:
             return Gradients(*self._by_system(lambda at, q, v: at.gradients(q, v), q, v))
-        tracked = torch.is_grad_enabled()
-        _, _, p, dq = self._around(q, v, tracked)
-        return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
+        return super().gradients(q, v)
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         if self._closed_form:
             return Rates(*self._by_system(lambda at, q, v: at.rates(q, v), q, v))
         tracked = torch.is_grad_enabled()
-        q_, mass, p, dq = self._around(q, v, tracked)
+        q_, mass, (dq, p) = self._around(q, v, tracked)
         with torch.enable_grad():
             moved = self.space.push(q_, v).unsqueeze(1)
             turned = (jacobian(p, q_, tracked=tracked) * moved).sum(-1)
@@ -166,23 +159,12 @@ class KnownLagrangian(nn.Module, Lagrangian):
         found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*given)
         return found
 
-    @torch.enable_grad()
-    def _around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return ``q`` as a leaf, ``H``, ``H v`` and ``ℒ_q``, whose graph is kept."""
-        q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-        mass, potential = self.terms(q_)
-        p = matvec(mass, v)
-        total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
-        (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
-        return q_, mass, p, self.space.pull(q_, dq)
-
     def _values(self, logarithms: Tensor, factors: Tensor) -> dict[str, Tensor]:
         found = {}
         for i, name in enumerate(self.numbers):
             found[name] = self.given[name].value.to(logarithms) * logarithms[i].exp()
-        for i, name in enumerate(self.bodies):
-            own = factors[TRIANGLE * i : TRIANGLE * (i + 1)]
-            square = torch.cat((own, torch.zeros_like(own[:1])))[self.place]
+        for name, own in zip(self.bodies, factors.view(-1, self._triangle.entries), strict=True):
+            square = self._triangle.square(own.flip(0)).flip(0, 1)
             factor = torch.triu(square, 1) + torch.diag(square.diagonal().exp())
             root = self._roots[name].to(factors) @ factor
             found[name] = root @ root.mT
