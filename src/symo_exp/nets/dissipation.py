@@ -133,11 +133,8 @@ class LearnedDissipation(nn.Module, Dissipation):
 
     def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:
         """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
-        matrix = None
-        if self.viscous_root is not None:
-            unit, d = (x[0] for x in self._triangle.factors(self.viscous_root.unsqueeze(0)))
-            matrix = unit * d @ unit.mT
-        return matrix, self.dry()
+        root = self.viscous_root
+        return None if root is None else self._triangle.semidefinite(root), self.dry()
 
     def dry(self, batch: int | None = None) -> tuple[Tensor, Tensor] | None:
         """Return ``c`` and ``ε_v``, (n,) or (batch, n), if there is dry friction."""
@@ -162,8 +159,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         """Return the derivative of ``_joint_force``."""
         found = torch.zeros(rate.shape[0], *self.joints.shape).to(rate)
         if self.viscous_root is not None:
-            unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
-            found = found - unit * d.unsqueeze(-2) @ unit.mT
+            found = found - self._triangle.semidefinite(self.viscous_root.unsqueeze(0))
         if (dry := self.dry()) is not None:
             c, rest = dry
             slope = 1.0 - torch.tanh(rate / rest).square()
@@ -292,8 +288,7 @@ class MachineFriction(LearnedDissipation):
         both = self.dry()
         assert self.viscous_root is not None
         assert both is not None
-        unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
-        matrix = unit * d.unsqueeze(-2) @ unit.mT
+        matrix = self._triangle.semidefinite(self.viscous_root.unsqueeze(0))
         dry, rest = both
         t = torch.tanh(rate / rest)
         by_rate = (1.0 - t.square()) / rest

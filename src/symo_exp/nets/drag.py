@@ -112,14 +112,14 @@ class LearnedBodyDrag(nn.Module, Dissipation):
         real("dissipation.start", start, above=0)
         real("dissipation.radius", radius, above=0)
         self._triangle = Triangle(3)
-        self._matrices = 2 * coordinates.n // 3
         units = torch.ones(coordinates.n // 3, 1, 1)
         units[-1] = radius**2
         self.register_buffer("units", units, persistent=False)
         root = self._triangle.flat(math.sqrt(start) * torch.eye(3))
-        self.roots = nn.Parameter(root.repeat(self._matrices))
+        root = root.repeat(2 * len(units))
+        self.roots = nn.Parameter(root)
         mark([self.roots], "coefficient")
-        mark_squares(self.roots, root.bool().repeat(self._matrices))
+        mark_squares(self.roots, root.bool())
 
     @override
     def force(
@@ -133,9 +133,8 @@ class LearnedBodyDrag(nn.Module, Dissipation):
 
     def coefficients(self) -> Float[Tensor, "2 parts 3 3"]:
         """Return the linear and the quadratic matrices, of the force, if any, and the torque."""
-        return self._matrix(self.roots.unsqueeze(0))[0]
+        return self._matrix(self.roots)
 
-    def _matrix(self, roots: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch 2 parts 3 3"]:
-        unit, d = self._triangle.factors(roots.unflatten(1, (self._matrices, -1)).flatten(0, 1))
-        found = (unit * d.unsqueeze(-2) @ unit.mT).unflatten(0, (-1, 2, self._matrices // 2))
-        return self.units * found
+    def _matrix(self, roots: Tensor) -> Float[Tensor, "*batch 2 parts 3 3"]:
+        each = roots.unflatten(-1, (2, len(self.units), -1))
+        return self.units * self._triangle.semidefinite(each)

@@ -26,12 +26,17 @@ class Triangle(nn.Module):
         return padded[..., self.place]
 
     def factors(
-        self, flat: Float[Tensor, "batch entries"]
-    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n"]]:
+        self, flat: Float[Tensor, "*batch entries"]
+    ) -> tuple[Float[Tensor, "*batch n n"], Float[Tensor, "*batch n"]]:
         """Return the unit triangle ``U`` and ``d``, the squared diagonal, of ``U diag(d) Uᵀ``."""
         square = self.square(flat)
         d = square.diagonal(dim1=-2, dim2=-1).square()
         return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
+
+    def semidefinite(self, flat: Float[Tensor, "*batch entries"]) -> Float[Tensor, "*batch n n"]:
+        """Return ``U diag(d) Uᵀ``."""
+        unit, d = self.factors(flat)
+        return unit * d.unsqueeze(-2) @ unit.mT
 
     def flat(self, matrix: Float[Tensor, "n n"]) -> Float[Tensor, " entries"]:
         """Return the vector of a matrix."""
