@@ -19,6 +19,7 @@ from typing_extensions import override
 
 from symo_exp.mechanics.forced import ForcedExpansion, ForcedLagrangian
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Lagrangian, jacobian, matvec
+from symo_exp.mechanics.space import space_of
 
 
 class Dissipation(ABC):
@@ -32,12 +33,16 @@ class Dissipation(ABC):
 
     def derivatives(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
-    ) -> tuple[Float[Tensor, "batch n N"], Float[Tensor, "batch n n"]]:
-        """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation."""
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
+        """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation.
+
+        Those in rotations are along ``Space.retract``.
+        """
         with torch.enable_grad():
-            q, v = (x.detach().clone().requires_grad_() for x in (q, v))
-            force = self.force(q, v)
-            return jacobian(force, q).detach(), jacobian(force, v).detach()
+            at = [x.detach().clone().requires_grad_() for x in (q, v)]
+            force = self.force(*at)
+            by_q, by_v = (jacobian(force, x).detach() for x in at)
+        return space_of(q, v).pull(q.detach().unsqueeze(1), by_q), by_v
 
     def damping(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
@@ -109,8 +114,6 @@ class DissipativeExpansion(ForcedExpansion):
         if isinstance(before, DissipativeExpansion):
             chord = dissipation.chord(self.v, before.v)
             force_v = force_v if chord is None else force_v + chord
-        if force_q.shape != force_v.shape:  # in the entries of rotations
-            force_q = self.lagrangian.space.pull(self.q.unsqueeze(1), force_q)
         qq, vq, qv = self.at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
 

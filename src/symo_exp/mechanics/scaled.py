@@ -77,10 +77,9 @@ class Scale(nn.Module):
         """Return ``E T x / ℓ``."""
         return x * (self.energy * self.time / self.motion)
 
-    def matrix(self, x: Float[Tensor, "*batch n k"], times: int) -> Float[Tensor, "*batch n k"]:
+    def matrix(self, x: Float[Tensor, "*batch n n"], times: int) -> Float[Tensor, "*batch n n"]:
         """Return ``E T^times x_ij / (ℓᵢ ℓⱼ)``."""
-        columns = self.motion if x.shape[-1] == len(self.motion) else self.place
-        return x * (self.energy * self.time**times / (self.motion.unsqueeze(-1) * columns))
+        return x * (self.energy * self.time**times / (self.motion.unsqueeze(-1) * self.motion))
 
 
 class ScaledLagrangian(nn.Module, Lagrangian):
@@ -172,7 +171,7 @@ class ScaledDissipation(nn.Module, Dissipation):
     @override
     def derivatives(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
-    ) -> tuple[Float[Tensor, "batch n N"], Float[Tensor, "batch n n"]]:
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         by_q, by_v = self.inner.derivatives(*self.scale.inside(q, v))
         return self.scale.matrix(by_q, 0), self.scale.matrix(by_v, 1)
 

@@ -312,11 +312,11 @@ class KnownFriction(nn.Module, Dissipation):
     @override
     def derivatives(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
-    ) -> tuple[Float[Tensor, "batch n N"], Float[Tensor, "batch n n"]]:
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         if self.drag is not None:
             return super().derivatives(q, v)
         by_v = self.damping(q, v)
-        return torch.zeros(*v.shape, q.shape[1]).to(v), by_v
+        return torch.zeros_like(by_v), by_v
 
     @override
     @torch.no_grad()
