@@ -66,10 +66,10 @@ def decided(prepared):
         one = replace(machine(2, 60.0, driven=driven), finest_step=finest)
         search, _, _ = prepared(told, one)
         search.screen(ladder(one) if combine else ladder(one)[:1])
-        best = search.best()
+        best = search.trials.best()
         if combine:
             search.combine(best)
-            best = search.best()
+            best = search.trials.best()
         if reduce_forces:
             best = search.reduce_forces(best)
         if raise_order:
@@ -137,8 +137,8 @@ def test_springs_are_left_out_unless_data_are_less_likely_without(noise, chosen,
     one = machine(2, 60.0)
     search, _, _ = prepared(told, one, budget=1e5)
     search.screen(ladder(one)[:1])
-    search.vary(search.best())
-    best = search.best()
+    search.vary(search.trials.best())
+    best = search.trials.best()
     assert "springs" in best.candidate.settings
     assert ("springs" in search.reduce_forces(best).candidate.settings) == chosen
 
@@ -194,7 +194,7 @@ def test_a_model_that_needs_no_springs_is_simplified_further_without_them(prepar
     one = replace(machine(2, 60.0), stiffness=((1.0, 0.0), (0.0, 1.0)))
     search, _, _ = prepared(told, one, budget=1e5)
     search.screen(ladder(one))
-    best = search.best()
+    best = search.trials.best()
     assert best.candidate.settings["lagrangian"] == "relative"
     assert "springs" in best.candidate.settings
     chosen = search.reduce_structure(search.reduce_forces(best)).candidate
@@ -231,7 +231,7 @@ def test_steps_are_halved_as_long_as_the_error_decreases(least, prepared):
     search.screen(ladder(one)[:1])
     settings = search.refine().candidate.settings
     assert float(settings.get("system.time_step", one.time_step)) == least
-    names = [t.candidate.name for t in search.trials]
+    names = [t.candidate.name for t in search.trials.by_simplicity()]
     assert len(set(names)) == len(names)
     assert any("1/4 of the time step" in name for name in names) == (least < 0.02)
 
@@ -250,7 +250,7 @@ def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(
     planned, others = ([c for c in ladder(one) if (c.name in plan.names) == x] for x in (1, 0))
     search.screen(planned)
     search.deepen(others)
-    assert search.best().candidate.settings["lagrangian"] == chosen
+    assert search.trials.best().candidate.settings["lagrangian"] == chosen
     said = capsys.readouterr().out
     assert ("further candidates, since none so far suits" in said) == (chosen == "relative")
 

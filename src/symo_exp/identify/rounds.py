@@ -49,30 +49,20 @@ class Rounds:
         self, fits: Fits, progressed: Callable[[RunFolder, Sequence[Trial]], object]
     ) -> None:
         self._machine, self._plan, self._given = fits.machine, fits.plan, fits.given
-        self._trials = Trials(fits, progressed)
-
-    @property
-    def trials(self) -> list[Trial]:
-        """All candidates that were tried, the simplest first."""
-        return self._trials.by_simplicity()
-
-    def best(self) -> Trial | None:
-        """Return the simplest of the best candidates, of those with the most folds."""
-        return self._trials.best()
+        self.trials = Trials(fits, progressed)
 
     def screen(self, candidates: Sequence[Candidate]) -> None:
         """Successive halving: every round has fewer candidates on more folds."""
         plan = self._plan
-        self._trials.run(candidates[:1], range(plan.first))  # a first model to use
+        self.trials.run(candidates[:1], range(plan.first))  # a first model to use
         rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
         alive = list(candidates)
         for folds in map(range, rounds):
             if len(folds) > plan.first:
-                alive = self._trials.in_time_for(alive, folds)
-            self._trials.run(alive, folds)
-            self._trials.reserve()
-            ranked = self._trials.ranked(alive, folds)
-            best = min((self._trials.mean(c, folds) for c in ranked), default=0.0)
+                alive = self.trials.in_time_for(alive, folds)
+            ranked = self.trials.run(alive, folds)
+            self.trials.reserve()
+            best = self.trials.of(ranked[0]).mean(folds) if ranked else 0.0
             simplest = [c for c in candidates if c in ranked][:1]
             half = ranked[: max(2, math.ceil(len(alive) / 2))]
             kept = distinct_candidates((*half[:1], *simplest, *half[1:]), self._given)
@@ -81,20 +71,20 @@ class Rounds:
     def deepen(self, candidates: Sequence[Candidate]) -> None:
         """Try candidates that the plan left out, if those that it has do not suit the machine."""
         first = range(self._plan.first)
-        if (best := self._trials.best()) is None or best.mean(
+        if (best := self.trials.best()) is None or best.mean(
             first
-        ) <= POOR * self._trials.baseline(first):
+        ) <= POOR * self.trials.baseline(first):
             return
-        if further := self._trials.affordable(candidates, best):
+        if further := self.trials.affordable(candidates, best):
             print("further candidates, since none so far suits the machine", flush=True)
         self._promote(further, best)
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
         for stage in (self.combine, self.vary, self.halve):
-            if (best := self._trials.best()) is not None:
+            if (best := self.trials.best()) is not None:
                 stage(best)
-        if (best := self._trials.best()) is None:
+        if (best := self.trials.best()) is None:
             return None
         return self.raise_order(self.reduce_structure(self.reduce_forces(best)))
 
@@ -105,45 +95,44 @@ class Rounds:
         that a network may be the best one for its friction alone, or because it also represents
         errors of the integrator. The best combination is therefore integrated more finely as well.
         """
-        first, known = range(self._plan.first), self._trials.candidates
+        first, known = range(self._plan.first), self.trials.candidates
         structures = {structure_of(best.candidate): best.candidate}
         for simple in self._simpler(known, best, first):
             structures.setdefault(structure_of(simple), simple)
         simpler = [c for c in structures.values() if c is not best.candidate]
         given = (with_friction_of(simple, best.candidate) for simple in simpler)
         folds = range(len(best.errors))
-        tried = self._trials.affordable(
+        tried = self.trials.affordable(
             distinct_candidates(given, self._given, known)[:SIMPLER], best
         )
-        self._trials.run(tried, first)
-        ranked, least = self._trials.ranked(tried, first), best.mean(first)
-        promising = [c for c in ranked if not self._hopeless(c, least, first)]
+        ranked = self.trials.run(tried, first)
+        promising = [c for c in ranked if not self._hopeless(c, best.mean(first), first)]
         for simple in promising[:1]:
-            self._trials.run([simple], folds)
+            self.trials.run([simple], folds)
             finest = distinct_candidates(finer(simple, self._machine), self._given, known)[:1]
-            self._promote(self._trials.affordable(finest, best), self._trials.of(simple))
+            self._promote(self.trials.affordable(finest, best), self.trials.of(simple))
 
     def vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and those that are better together."""
-        known = self._trials.candidates
+        known = self.trials.candidates
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
         folds = range(len(base.errors))
-        tried = self._trials.affordable(
-            new, base, keep=len(folds) * self._trials.planned(base.candidate)
+        tried = self.trials.affordable(
+            new, base, keep=len(folds) * self.trials.planned(base.candidate)
         )
         joint = base
-        for c in self._trials.ranked(self._promote(tried, base), folds):
+        for c in self._promote(tried, base):
             if not self._gains(c, base, folds):
                 break
             if joint is not base:
                 if exclude(base.candidate, joint.candidate, c):
                     continue
                 c = joined(base.candidate, joint.candidate, c)
-                if not self._trials.affordable([c], base):
+                if not self.trials.affordable([c], base):
                     break
-                self._trials.run([c], folds)
+                self.trials.run([c], folds)
             if joint is base or self._gains(c, joint, folds):
-                joint = self._trials.of(c)
+                joint = self.trials.of(c)
 
     def halve(self, best: Trial) -> None:
         """Halve time steps that the best candidate has halved, as long as its error decreases.
@@ -153,10 +142,10 @@ class Rounds:
         if "system.time_step" not in best.candidate.settings:
             return
         halved = with_half_the_step(best.candidate, self._machine)
-        tried = self._trials.affordable(distinct_candidates(halved, self._given), best)
+        tried = self.trials.affordable(distinct_candidates(halved, self._given), best)
         for fine in self._promote(tried, best):
             if self._gains(fine, best, range(len(best.errors))):
-                self.halve(self._trials.of(fine))
+                self.halve(self.trials.of(fine))
 
     def reduce_forces(self, best: Trial) -> Trial:
         """Return the best candidate with fewer forces, unless that is worse.
@@ -184,14 +173,14 @@ class Rounds:
             sprung = "springs" in best.candidate.settings
             return structure if sprung else next(without_springs(structure), structure)
 
-        names = {c.name for c in self._trials.candidates}
+        names = {c.name for c in self.trials.candidates}
         tried = [c for c in structures(self._machine) if c.name in names]
         named = f"{best.candidate.name}, "
         mine = [c for c in tried if named.startswith(f"{like_best(c).name}, ")]
         if not mine:
             return best
         base = max(mine, key=lambda c: len(c.name))
-        simpler = self._simpler(tried, self._trials.of(base), range(self._plan.first))
+        simpler = self._simpler(tried, self.trials.of(base), range(self._plan.first))
         simplest = sorted(simpler, key=lambda c: c.rank)[:1]
         for structure in distinct_candidates([*simplest, *simpler[:SIMPLER]], self._given):
             given = joined(like_best(base), like_best(structure), best.candidate)
@@ -219,17 +208,13 @@ class Rounds:
         """Try candidates on the first folds, and the best ones on all folds of another candidate.
 
         Returns:
-            Those tried on all folds: ``PROMOTED`` at most, each better on the first than ``base``.
+            Those tried on all folds, the best first: ``PROMOTED`` at most, each better on the first
+            folds than ``base``.
         """
         first = range(self._plan.first)
-        self._trials.run(tried, first)
-        better = [
-            c
-            for c in self._trials.ranked(tried, first)
-            if self._trials.mean(c, first) < base.mean(first)
-        ]
-        self._trials.run(better[: plans.PROMOTED], range(len(base.errors)))
-        return better[: plans.PROMOTED]
+        ranked, least = self.trials.run(tried, first), base.mean(first)
+        better = [c for c in ranked if self.trials.of(c).mean(first) < least]
+        return self.trials.run(better[: plans.PROMOTED], range(len(base.errors)))
 
     def _at_least_as_good(
         self,
@@ -241,15 +226,15 @@ class Rounds:
         settings = left_open(candidate.settings, self._given)
         same = (
             other
-            for other in self._trials.candidates
+            for other in self.trials.candidates
             if left_open(other.settings, self._given) == settings
         )
         candidate = next(same, candidate)
-        if not self._trials.affordable([candidate], best):
+        if not self.trials.affordable([candidate], best):
             return None
-        trial = self._trials.of(candidate)
+        trial = self.trials.of(candidate)
         for folds in (range(self._plan.first), range(len(best.errors))):
-            self._trials.run([candidate], folds)
+            self.trials.run([candidate], folds)
             if trial.failed or worse(trial, best, folds):
                 return None
         return trial
@@ -261,7 +246,7 @@ class Rounds:
     def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
         """Return whether a simpler model is less likely and has no smaller errors for certain."""
         parameters = (more.parameters or 0) - (less.parameters or 0)
-        return self._trials.likelier(more, less, folds, parameters) and not beats(
+        return self.trials.likelier(more, less, folds, parameters) and not beats(
             less.errors, more.errors, folds
         )
 
@@ -270,7 +255,7 @@ class Rounds:
 
         A gain in likelihood that a useless parameter would also give does not count.
         """
-        return beats(coarse.errors, fine.errors, folds) or self._trials.likelier(
+        return beats(coarse.errors, fine.errors, folds) or self.trials.likelier(
             coarse, fine, folds, -1
         )
 
@@ -278,12 +263,12 @@ class Rounds:
         self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
     ) -> list[Candidate]:
         """Return the candidates that are simpler than one and not hopeless, the best first."""
-        ranked = self._trials.ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
+        ranked = self.trials.ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
         return [c for c in ranked if not self._hopeless(c, base.mean(folds), folds)]
 
     def _hopeless(self, candidate: Candidate, least: float, folds: Sequence[int]) -> bool:
-        return self._trials.mean(candidate, folds) > HOPELESS * least
+        return self.trials.of(candidate).mean(folds) > HOPELESS * least
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
-        trial = self._trials.of(candidate)
+        trial = self.trials.of(candidate)
         return not trial.failed and beats(trial.errors, base.errors, folds)

@@ -118,10 +118,10 @@ class Search:
         rounds.screen(planned)
         rounds.deepen(others)
         if (best := rounds.refine()) is None:
-            answer.summarise(rounds.trials, None)
+            answer.summarise(rounds.trials.by_simplicity(), None)
             return answer.give_up()
-        code = self._conclude(fits, rounds.trials, best, answer)
-        tried = {trial.candidate.name for trial in rounds.trials}
+        code = self._conclude(fits, rounds.trials.by_simplicity(), best, answer)
+        tried = {candidate.name for candidate in rounds.trials.candidates}
         if untried := [c.name for c in others if c.name not in tried]:
             print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return code

@@ -71,11 +71,13 @@ class Trials:
         folds = max((len(t.errors) for t in sound), default=0)
         return choose(sound, range(folds)) if folds else None
 
-    def run(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
-        """Do the folds that are not done yet, side by side."""
-        todo = [(c, k) for c in candidates for k in self._undone(c, folds)]
-        if not todo:
-            return
+    def run(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
+        """Do the folds that are not done yet, side by side, and return ``ranked`` candidates."""
+        if todo := [(c, k) for c in candidates for k in self._undone(c, folds)]:
+            self._run(todo)
+        return self.ranked(candidates, folds)
+
+    def _run(self, todo: Sequence[tuple[Candidate, int]]) -> None:
         self._spend(todo)
         names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
         phases.say(f"{counted(len(todo), 'run')}: {names}")
@@ -90,12 +92,8 @@ class Trials:
 
     def ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
         """Return the candidates without failures, the best first."""
-        sound = [c for c in candidates if not self._trials[c.name].failed]
-        return sorted(sound, key=lambda c: self.mean(c, folds))
-
-    def mean(self, candidate: Candidate, folds: Sequence[int]) -> float:
-        """Return the geometric mean of the errors of a candidate."""
-        return self._trials[candidate.name].mean(folds)
+        sound = [c for c in candidates if not self.of(c).failed]
+        return sorted(sound, key=lambda c: self.of(c).mean(folds))
 
     def baseline(self, folds: Sequence[int]) -> float:
         """Return the geometric mean of the errors of constant velocity."""
