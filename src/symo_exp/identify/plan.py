@@ -47,7 +47,6 @@ class Plan:
         cores: How many runs are done at a time.
         speed: Of this machine (``identify.speed``).
         folds: Of the cross-validation.
-        first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
         effort: Of the trainings.
         needed: Wall time that the search takes at least [s]; more than the budget where that is too
@@ -63,7 +62,6 @@ class Plan:
     cores: int
     speed: float
     folds: int
-    first: int
     seconds: float
     effort: Effort
     needed: float
@@ -97,12 +95,7 @@ class Plan:
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
-    @property
-    def total(self) -> float:
-        """The wall time of the search [s]."""
-        return max(self.budget, self.needed)
-
-    def search_time(self, candidate: Candidate, machine: Machine, pace: float = 1.0) -> float:
+    def search_time(self, candidate: Candidate, machine: Machine, pace: float) -> float:
         """Return the planned time of all runs before the last fits, one after another [s].
 
         Args:
@@ -113,7 +106,7 @@ class Plan:
         nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
         fit = self.effort.training(candidate, nodes, machine) / self.speed
         last = self._rounds(candidate, machine) * fit
-        return self.cores * (self.total / pace - last)
+        return self.cores * (max(self.budget, self.needed) / pace - last)
 
     def last_fits(self, candidate: Candidate, machine: Machine) -> int:
         """Return how many fits to all data a chosen candidate has, from different seeds.
@@ -179,7 +172,6 @@ def make_plan(
         cores=cores,
         speed=speed,
         folds=draft.folds,
-        first=FIRST,
         seconds=draft.nodes * machine.time_step,
         effort=draft.effort,
         needed=searched + REFITTING * budget,

@@ -54,26 +54,23 @@ class Rounds:
     def screen(self, candidates: Sequence[Candidate]) -> None:
         """Successive halving: every round has fewer candidates on more folds."""
         plan = self._plan
-        self.trials.run(candidates[:1], range(plan.first))  # a first model to use
-        rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
+        self.trials.run(candidates[:1], range(plans.FIRST))  # a first model to use
+        rounds = sorted({plans.FIRST, min(plan.folds, plans.FIRST + 2), plan.folds})
         alive = list(candidates)
         for folds in map(range, rounds):
-            if len(folds) > plan.first:
+            if len(folds) > plans.FIRST:
                 alive = self.trials.in_time_for(alive, folds)
             ranked = self.trials.run(alive, folds)
             self.trials.reserve()
-            best = self.trials.of(ranked[0]).mean(folds) if ranked else 0.0
             simplest = [c for c in candidates if c in ranked][:1]
             half = ranked[: max(2, math.ceil(len(alive) / 2))]
             kept = distinct_candidates((*half[:1], *simplest, *half[1:]), self._given)
-            alive = [c for c in kept if not self._hopeless(c, best, folds)]
+            alive = [c for c in kept if not self._hopeless(c, self.trials.of(ranked[0]), folds)]
 
     def deepen(self, candidates: Sequence[Candidate]) -> None:
         """Try candidates that the plan left out, if those that it has do not suit the machine."""
-        first = range(self._plan.first)
-        if (best := self.trials.best()) is None or best.mean(
-            first
-        ) <= POOR * self.trials.baseline(first):
+        first, best = range(plans.FIRST), self.trials.best()
+        if best is None or best.mean(first) <= POOR * self.trials.baseline(first):
             return
         if further := self.trials.affordable(candidates, best):
             print("further candidates, since none so far suits the machine", flush=True)
@@ -95,9 +92,9 @@ class Rounds:
         that a network may be the best one for its friction alone, or because it also represents
         errors of the integrator. The best combination is therefore integrated more finely as well.
         """
-        first, known = range(self._plan.first), self.trials.candidates
+        first, known = range(plans.FIRST), self.trials.candidates
         structures = {structure_of(best.candidate): best.candidate}
-        for simple in self._simpler(known, best, first):
+        for simple in self._simpler(known, best):
             structures.setdefault(structure_of(simple), simple)
         simpler = [c for c in structures.values() if c is not best.candidate]
         given = (with_friction_of(simple, best.candidate) for simple in simpler)
@@ -106,7 +103,7 @@ class Rounds:
             distinct_candidates(given, self._given, known)[:SIMPLER], best
         )
         ranked = self.trials.run(tried, first)
-        promising = [c for c in ranked if not self._hopeless(c, best.mean(first), first)]
+        promising = [c for c in ranked if not self._hopeless(c, best, first)]
         for simple in promising[:1]:
             self.trials.run([simple], folds)
             finest = distinct_candidates(finer(simple, self._machine), self._given, known)[:1]
@@ -180,7 +177,7 @@ class Rounds:
         if not mine:
             return best
         base = max(mine, key=lambda c: len(c.name))
-        simpler = self._simpler(tried, self.trials.of(base), range(self._plan.first))
+        simpler = self._simpler(tried, self.trials.of(base))
         simplest = sorted(simpler, key=lambda c: c.rank)[:1]
         for structure in distinct_candidates([*simplest, *simpler[:SIMPLER]], self._given):
             given = joined(like_best(base), like_best(structure), best.candidate)
@@ -211,7 +208,7 @@ class Rounds:
             Those tried on all folds, the best first: ``PROMOTED`` at most, each better on the first
             folds than ``base``.
         """
-        first = range(self._plan.first)
+        first = range(plans.FIRST)
         ranked, least = self.trials.run(tried, first), base.mean(first)
         better = [c for c in ranked if self.trials.of(c).mean(first) < least]
         return self.trials.run(better[: plans.PROMOTED], range(len(base.errors)))
@@ -233,7 +230,7 @@ class Rounds:
         if not self.trials.affordable([candidate], best):
             return None
         trial = self.trials.of(candidate)
-        for folds in (range(self._plan.first), range(len(best.errors))):
+        for folds in (range(plans.FIRST), range(len(best.errors))):
             self.trials.run([candidate], folds)
             if trial.failed or worse(trial, best, folds):
                 return None
@@ -259,15 +256,14 @@ class Rounds:
             coarse, fine, folds, -1
         )
 
-    def _simpler(
-        self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
-    ) -> list[Candidate]:
+    def _simpler(self, candidates: Sequence[Candidate], base: Trial) -> list[Candidate]:
         """Return the candidates that are simpler than one and not hopeless, the best first."""
-        ranked = self.trials.ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
-        return [c for c in ranked if not self._hopeless(c, base.mean(folds), folds)]
+        simpler = [c for c in candidates if c.rank < base.candidate.rank]
+        ranked = self.trials.ranked(simpler, range(plans.FIRST))
+        return [c for c in ranked if not self._hopeless(c, base, range(plans.FIRST))]
 
-    def _hopeless(self, candidate: Candidate, least: float, folds: Sequence[int]) -> bool:
-        return self.trials.of(candidate).mean(folds) > HOPELESS * least
+    def _hopeless(self, candidate: Candidate, best: Trial, folds: Sequence[int]) -> bool:
+        return self.trials.of(candidate).mean(folds) > HOPELESS * best.mean(folds)
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self.trials.of(candidate)

@@ -117,7 +117,7 @@ class Trials:
         before the last fits of the ``best`` one; at least the time that the plan has reserved.
         Of the planned time, ``keep`` [s] is left for what follows.
         """
-        first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
+        first, others = range(plans.FIRST), range(plans.FIRST, len(best.errors))
 
         def needed(tried: Sequence[Candidate]) -> float:
             costliest = sorted(self._time_on(c, others) for c in tried)[-plans.PROMOTED :]
