@@ -435,9 +435,10 @@ def test_numbers_that_are_not_finite_are_named_in_a_terminal():
 def test_entries_of_the_inertia_have_the_units_of_their_coordinates(angular, units):
     """Names such as ``shoulder`` do not tell whether a coordinate is an angle."""
     entries = [f"inertia_{at}" for at in ("11", "12", "22")]
-    table = pd.DataFrame({"t": [0.0, 1.0]}).assign(**dict.fromkeys(entries, 1.0))
+    table = pd.DataFrame({"t": [0.0, 1.0]}).assign(q_carriage=0.0, q_shoulder=0.0)
+    table = table.assign(**dict.fromkeys(entries, 1.0))
     table = table.assign(**{f"{entry}_true": 1.0 for entry in entries})
-    figure = learned_figure("k", "", {PAIRS[0]: table}, ["carriage", "shoulder"], angular)
+    figure = learned_figure("k", "", {PAIRS[0]: table}, angular)
     assert [panel.y_label.split(" ", 1)[1] for panel in figure.panels] == [
         f"[{unit}]" for unit in units
     ]

@@ -6,9 +6,9 @@ Their data are the tables of studies, with a row for each node (``Rollouts.colum
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from itertools import zip_longest
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -75,9 +75,7 @@ def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | No
         long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
             title = f"{one.system}: what was learned, along a true motion"
-            names = coordinates(next(iter(tables.values())), "q_")
-            turning = [one.angular] * len(names)
-            made.append(learned_figure(key, title, tables, names, turning).of(one.system))
+            made.append(learned_figure(key, title, tables, repeat(one.angular)).of(one.system))
         else:
             title = f"{one.system}: {TITLES[one.study]}, the first {long:g} s"
             made.append(motion_figure(key, title, tables, one.angular).of(one.system))
@@ -151,11 +149,7 @@ def phase_space_figure(key: str, title: str, tables: Tables, angular: bool | Non
 
 
 def learned_figure(
-    key: str,
-    title: str,
-    tables: Tables,
-    names: Sequence[str] = (),
-    angular: Sequence[bool | None] = (),
+    key: str, title: str, tables: Tables, angular: Iterable[bool | None] = ()
 ) -> Figure:
     """Return learned and true energies and inertia along a true motion.
 
@@ -163,16 +157,14 @@ def learned_figure(
         key: The name of the files.
         title: The heading.
         tables: A table for each method, with the columns of ``beside_true``.
-        names: The names of the coordinates; those of the table if not given.
         angular: Which coordinates are angles; by their names if not given.
     """
     table = next(iter(tables.values()))
-    names = names or coordinates(table, "q_")
+    known = list(zip(coordinates(table, "q_"), chain(angular, repeat(None)), strict=False))
 
     def unit(entry: str) -> str:
         # inertia_23; from ten coordinates on, two digits are not told apart
         rows = [int(digit) - 1 for digit in entry.removeprefix("inertia_")]
-        known = list(zip_longest(names, angular))
         at = [known[i] for i in rows if i < len(known)]
         return inertia_unit(*at) if len(at) == 2 else "kg, kg m, kg m²"
 

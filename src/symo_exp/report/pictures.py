@@ -159,8 +159,8 @@ def learned_quantities(
     q, v = rollouts.q_true[which, :nodes], rollouts.v_true[which, :nodes]
     found = beside_true(model.for_evaluation(), system, q[None], v[None]).columns
     table = pd.DataFrame({name: column.numpy() for name, column in found.items()})
-    said, known = f"{title}: learned quantities along a true motion", system.coordinates
-    return learned_figure("learned", said, {(method, ""): table}, known.names, known.turning)
+    said = f"{title}: learned quantities along a true motion"
+    return learned_figure("learned", said, {(method, ""): table}, system.coordinates.turning)
 
 
 def _errors(rollouts: Rollouts) -> Tensor:
