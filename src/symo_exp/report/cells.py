@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from symo_exp.errors import ConfigError
+from symo_exp.report.looks import all_angles, measure_name, short
 from symo_exp.report.runs import CELL
 
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
@@ -47,6 +48,14 @@ def cells(runs: pd.DataFrame) -> pd.DataFrame:
         seconds=("seconds", "median"),
     )
     return found.reset_index()
+
+
+def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:
+    """Return cells with a column of printed medians for each measure that there is."""
+    wide = found.groupby([*keys, "metric"], dropna=False)["median"].median().unstack()
+    there = wide.reindex(columns=[name for name in metrics if name in wide])
+    angular = all_angles(found.metric, found["median"])
+    return there.map(short).rename(columns=lambda name: measure_name(name, angular))
 
 
 def over_seeds(most: float, several: str = "Medians over the seeds") -> str:

@@ -7,10 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.cells import DEFAULTS, at_step, cells, settings_of, table_note, usual_steps
+from symo_exp.report.cells import (
+    DEFAULTS,
+    at_step,
+    cells,
+    medians,
+    settings_of,
+    table_note,
+    usual_steps,
+)
 from symo_exp.report.curves import Axis, panels, seeds_caption
 from symo_exp.report.figures import Figure
-from symo_exp.report.looks import all_angles, measure_name, number, pair_names, short
+from symo_exp.report.looks import number, pair_names
 from symo_exp.report.tables import ResultTable
 from symo_exp.words import counted
 
@@ -54,22 +62,15 @@ def _grown(runs: pd.DataFrame) -> Iterator[tuple[tuple[str, str, float], pd.Data
 
 
 def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:
-    wide = rows.pivot_table("median", KEYS, "metric", dropna=False)
-    wide = wide.reindex(columns=list(OVER_N)).dropna(how="all").reset_index()
-    seeds = rows.groupby(KEYS).seeds.max()
-    angular = all_angles(rows.metric, rows["median"])
-    shown = pd.DataFrame({
-        "method": pair_names(wide),
-        "coordinates": wide.coordinates.map(number),
-        "seeds": [str(seeds[tuple(one)]) for one in wide[KEYS].itertuples(index=False)],
-    }).join(
-        wide[list(OVER_N)].map(short).rename(columns=lambda name: measure_name(name, angular))
-    )  # fmt: skip
+    wide = medians(rows, KEYS, OVER_N).reset_index()
+    seeds = rows.groupby(KEYS).seeds.max().astype(str)
+    names = {"method": pair_names(wide), "coordinates": wide.coordinates.map(number)}
+    shown = pd.DataFrame({**names, "seeds": seeds.to_numpy()}).join(wide.drop(columns=KEYS))
     notes = [table_note(rows)]
-    for _, one in wide.groupby(["method", "integrator"]):
-        steps = one[one.step_ms > 0]
-        if len(steps) > 1:
-            power = np.polyfit(np.log(steps.coordinates), np.log(steps.step_ms), 1)[0]
+    steps = rows[(rows.metric == "step_ms") & (rows["median"] > 0)]
+    for _, one in steps.groupby(["method", "integrator"]):
+        if len(one) > 1:
+            power = np.polyfit(np.log(one.coordinates), np.log(one["median"]), 1)[0]
             name = pair_names(one.head(1))[0]
             notes.append(f"{name}: the time of a step grows as n to the power {power:.2f}.")
     return ResultTable(key, title, shown, notes)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
 import pandas as pd
 
 from symo_exp.report import curves, held_out, motions
 from symo_exp.report.answer import answers, other_settings
-from symo_exp.report.cells import DEFAULTS, Compared, at_step, cells, table_note, usual_steps
+from symo_exp.report.cells import (
+    DEFAULTS,
+    Compared,
+    at_step,
+    cells,
+    medians,
+    table_note,
+    usual_steps,
+)
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
-from symo_exp.report.looks import (
-    all_angles,
-    duration,
-    look,
-    measure_name,
-    number,
-    pair_names,
-    short,
-    stroke,
-)
+from symo_exp.report.looks import duration, look, number, pair_names, stroke
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
@@ -178,11 +175,3 @@ def floor_table(found: pd.DataFrame) -> ResultTable:
     )
     title = "Floors: the true systems in the integrators, nothing learned"
     return ResultTable("floors", title, rows, [note])
-
-
-def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:
-    """Return cells with a column of printed medians for each measure that there is."""
-    wide = found.groupby([*keys, "metric"], dropna=False)["median"].median().unstack()
-    there = wide.reindex(columns=[name for name in metrics if name in wide])
-    angular = all_angles(found.metric, found["median"])
-    return there.map(short).rename(columns=lambda name: measure_name(name, angular))
