@@ -15,7 +15,7 @@ from symo_exp.data.recorded import RecordedData
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion
-from symo_exp.evaluation.rollouts import CHUNK, roll_out
+from symo_exp.evaluation.rollouts import CHUNK, along, roll_out
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.windows import cut_windows
@@ -104,6 +104,9 @@ def test_the_midpoint_rule_keeps_the_energy_of_legendre_but_not_of_finite_differ
     drift = evaluation.rollouts.energy - evaluation.rollouts.energy[:, :1]
     assert drift.abs().max() < 1e-12
     assert 1e-12 < found["energy_mse"] < 1e-2 * found["energy_mse_fd"]
+    q, expected = evaluation.rollouts.q, evaluation.rollouts.energy_true[:, :1]
+    error = along(system.energy, q[:, 1:], q.diff(dim=1) / H) - expected
+    assert found["energy_mse_fd"] == pytest.approx(error.square().mean().item())
     assert 0 < found["test_mse"] < 1e-6
     assert found["test_newton_failed"] == found["integration_newton_failed"] == 0.0
 

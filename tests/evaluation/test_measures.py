@@ -21,11 +21,6 @@ def test_a_prediction_is_valid_until_its_error_first_exceeds_a_tenth():
     assert measures.valid_steps(path.unsqueeze(-1)).tolist() == [2, 4, 0]
 
 
-def test_finite_difference_velocities_are_slopes_between_nodes():
-    q = torch.tensor([[[0.0], [1.0], [3.0]]])
-    assert measures.finite_difference_velocity(q, 0.5).flatten().tolist() == [2.0, 4.0]
-
-
 def test_mean_and_population_deviation():
     found = measures.mean_and_std("x", torch.tensor([1.0, 3.0]))
     assert found == {"x_mse": 2.0, "x_std": 1.0}

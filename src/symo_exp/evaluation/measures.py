@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.mechanics.space import FLAT, Space
-
 VALID_ERROR = 0.1
 """Error of a configuration [rad, m] up to which a prediction counts as valid."""
 
@@ -46,17 +44,6 @@ def valid_steps(error: Float[Tensor, "trajectories steps n"]) -> Float[Tensor, "
 def steps_within(error: Float[Tensor, "rows steps"], most: float) -> Float[Tensor, " rows"]:
     """Return the steps before the error first exceeds a number or is not a number."""
     return (error <= most).cumprod(1).sum(1).double()
-
-
-def finite_difference_velocity(
-    q: Float[Tensor, "trajectories nodes N"], time_step: float, space: Space = FLAT
-) -> Float[Tensor, "trajectories nodes-1 n"]:
-    """Return ``(q_{k+1} − q_k) / h``, which the thesis pairs with ``q_{k+1}``.
-
-    It is the velocity at ``k + ½``: paired with ``q_{k+1}`` it belongs to a time half a step
-    earlier, and the energy error it gives is almost wholly that mismatch.
-    """
-    return space.difference(q[:, :-1], q[:, 1:]) / time_step
 
 
 def mean_and_std(name: str, per_trajectory: Float[Tensor, " trajectories"]) -> dict[str, float]:

@@ -29,7 +29,6 @@ def write_report(report: Report, out: Path, *, formats: Sequence[str], page: boo
     Returns:
         The files written.
     """
-    out.mkdir(parents=True, exist_ok=True)
     files = [save_runs(report.runs, out / f"runs.{suffix}") for suffix in ("csv", "parquet")]
     for name, table in report.extra.items():
         write_frame(out / name, table)

@@ -29,8 +29,7 @@ STYLES: dict[str, dict[str, Any]] = {
 
 
 def save_figure(figure: Figure, folder: Path) -> Path:
-    """Write ``<key>.png``."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write ``<key>.png`` into an existing folder."""
     path = folder / f"{figure.key}.png"
     with matplotlib.rc_context(RC):  # type: ignore[arg-type]
         draw(figure).savefig(path)
