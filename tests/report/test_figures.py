@@ -234,6 +234,17 @@ def test_every_point_of_a_dense_cloud_is_seen(integrator, tmp_path):
     assert "hollow" not in file.read_text()
 
 
+@pytest.mark.parametrize(
+    ("name", "angular", "wraps"),
+    [("x", None, False), ("slide", False, False), ("theta", None, True), ("arm", None, True)],
+)
+def test_a_phase_portrait_wraps_what_may_be_an_angle_and_no_length(name, angular, wraps):
+    table = swing(nodes=50).rename(columns=lambda column: column.replace("theta", name))
+    table[[f"q_{name}", f"q_true_{name}"]] *= 8.0
+    (panel,) = phase_space_figure("k", "", {PAIRS[0]: table}, angular).panels
+    assert (panel.rows.x.abs().max() < np.pi) == wraps
+
+
 def test_published_values_are_hollow_beside_a_cloud(tmp_path):
     at = pd.DataFrame({"x": [1.0, 2.0], "y": [1.0, 2.0], "method": "symo", "integrator": ""})
     sources = {"points": "ours", "both": "published"}

@@ -230,7 +230,7 @@ def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None
     label = symbol(name)
     if velocity:
         label = f"d{' ' * (len(label) > len('θ₁₂'))}{label}/dt"
-    return f"{label} [{', '.join(unit + '/s' * velocity for unit in _units(name, angular))}]"
+    return f"{label} [{', '.join(unit + '/s' * velocity for unit in units_of(name, angular))}]"
 
 
 TURNS, RATES = ("roll", "pitch", "yaw"), ("ω_x", "ω_y", "ω_z")
@@ -253,7 +253,7 @@ def error_unit(names: Sequence[str], angular: bool | None = None) -> str:
         names: Their names.
         angular: Whether all are angles; each by its name if ``None``.
     """
-    units = {unit for name in names for unit in _units(name, angular)}
+    units = {unit for name in names for unit in units_of(name, angular)}
     return ", ".join(f"{unit}²" for unit in sorted(units))
 
 
@@ -265,14 +265,19 @@ def inertia_unit(row: tuple[str, bool | None], column: tuple[str, bool | None]) 
             ``None``.
         column: The same of its column.
     """
-    units = [_units(*coordinate) for coordinate in (row, column)]
+    units = [units_of(*coordinate) for coordinate in (row, column)]
     if any(len(one) > 1 for one in units):
         return "kg, kg m, kg m²"
     return ("kg", "kg m", "kg m²")[units.count(("rad",))]
 
 
-def _units(name: str, angular: bool | None) -> tuple[str, ...]:
-    """Return the possible units; by name, Greek ones are angles and x, y and z are lengths."""
+def units_of(name: str, angular: bool | None) -> tuple[str, ...]:
+    """Return the possible units of a coordinate.
+
+    Args:
+        name: Its name: Greek ones are those of angles, x, y and z those of lengths.
+        angular: Whether it is an angle; by its name if ``None``.
+    """
     if angular is None:
         plain = re.sub(r"_?\d*$", "", name)
         return ("rad",) if plain in GREEK else ("m",) if plain in ("x", "y", "z") else ("m", "rad")

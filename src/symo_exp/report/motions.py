@@ -23,6 +23,7 @@ from symo_exp.report.looks import (
     in_order,
     inertia_unit,
     pair_name,
+    units_of,
 )
 from symo_exp.report.runs import local_folder, run_table
 from symo_exp.runs.folder import STUDIES
@@ -136,16 +137,17 @@ def motion_figure(key: str, title: str, tables: Tables, angular: bool | None = N
 
 
 def phase_space_figure(key: str, title: str, tables: Tables, angular: bool | None = None) -> Figure:
-    """Return a panel for each method, with the truth below it; angles are wrapped."""
+    """Return a panel for each method, with the truth below it; what may be an angle is wrapped."""
     name = coordinates(next(iter(tables.values())))[0]
     labels = axis_label(name, angular=angular), axis_label(name, velocity=True, angular=angular)
+    wrap = "rad" in units_of(name, angular)
     panels = [
         Panel(pair_name(*pair), *labels,
-              phase_rows(pair, kept(table), name, wrap=True, count=POINTS),
+              phase_rows(pair, kept(table), name, wrap=wrap, count=POINTS),
               y_log=False, mark="points")
         for pair, table in tables.items()
     ]  # fmt: skip
-    return Figure(key, title, f"{FIRST} Angles are wrapped.", panels)
+    return Figure(key, title, FIRST + " Angles are wrapped." * wrap, panels)
 
 
 def learned_figure(
