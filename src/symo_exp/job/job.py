@@ -224,27 +224,21 @@ def end(folder: RunFolder, tracker: Any, status: Status, reason: str, seconds: f
         publish(tracker, folder)
 
 
-def publish(tracker: Any, folder: RunFolder) -> str:
-    """Update the store, or leave it for the next command; return the address of the run."""
+def publish(tracker: Any, folder: RunFolder) -> None:
+    """Update the store, or leave it for the next command."""
     try:
-        return str(tracker.publish(folder))
+        tracker.publish(folder)
     except Exception as error:
-        if isinstance(error, OSError) and _is_in(error.filename, folder):
+        if isinstance(error, OSError) and Path(error.filename or "/").is_relative_to(folder.path):
             log.warning(
                 "%s cannot be written (%s): the next command uploads the run again",
                 folder, error.strerror,
             )  # fmt: skip
-            return ""
-        log.warning(
-            "%s: the tracking store is unavailable (%s); the run is uploaded when the command is "
-            "given again", folder, first_line(error),
-        )  # fmt: skip
-        return ""
-
-
-def _is_in(file: Any, folder: RunFolder) -> bool:
-    """Return whether the file of an error is one of a run."""
-    return file is not None and Path(file).is_relative_to(folder.path)
+        else:
+            log.warning(
+                "%s: the tracking store is unavailable (%s); the run is uploaded when the command "
+                "is given again", folder, first_line(error),
+            )  # fmt: skip
 
 
 def spelled(words: Sequence[str]) -> str:

@@ -19,9 +19,8 @@ class Nowhere:
         """Return true: there is nothing to publish."""
         return True
 
-    def publish(self, folder: RunFolder) -> str:
-        """Return no address."""
-        return ""
+    def publish(self, folder: RunFolder) -> None:
+        """Do nothing."""
 
     def show(self, varied: Sequence[str]) -> None:
         """Do nothing."""

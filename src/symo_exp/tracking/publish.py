@@ -77,15 +77,15 @@ class MlflowView:
         told = folder.published()
         return told.get("store") == str(self.store) and self.store.may_have(told.get("run_id", ""))
 
-    def publish(self, folder: RunFolder) -> str:
-        """Update the store and return the address of the run.
+    def publish(self, folder: RunFolder) -> None:
+        """Update the store.
 
         Raises:
             AwayError: If the store does not answer within ``timeout``.
         """
         about, outcome = folder.about(), folder.outcome()
         if about is None or self.is_published(folder):
-            return self._address(folder.published().get("run_id", ""))
+            return
         self.check()  # answers sooner than MLflow, which tries again and again
         run = self._open.get(about.identity)
         if run is None:
@@ -99,7 +99,6 @@ class MlflowView:
         if outcome.status not in ("running", "waiting"):
             folder.mark_published({"store": str(self.store), "run_id": run.run_id})
             del self._open[about.identity]
-        return self._address(run.run_id)
 
     def close_dead(self) -> None:
         """Mark runs as failed that the store has as RUNNING and whose process has died."""
@@ -164,9 +163,6 @@ class MlflowView:
             if not is_away(error):
                 raise
             return ""
-
-    def _address(self, run_id: str) -> str:
-        return f"run {run_id} in {self.store}" if run_id else f"not yet in {self.store}"
 
 
 def _parameters(folder: RunFolder) -> dict[str, float]:
