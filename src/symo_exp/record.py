@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import runpy
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from symo_exp.errors import ConfigError, shortened, with_place
 from symo_exp.files import write_frame
 from symo_exp.shell import override_value, python_command
 from symo_exp.words import counted
+
+if TYPE_CHECKING:
+    from symo_exp.systems.base import System
 
 Policy = Callable[[np.ndarray], np.ndarray]
 """Maps an observation to an action."""
@@ -37,18 +41,12 @@ class Plant(NamedTuple):
     """The part of an environment that is recorded.
 
     Attributes:
-        coordinates: Names of the coordinates.
-        angular: Whether each is an angle.
-        inputs: Names of the inputs.
-        matrix: ``B`` (n, m) of the generalised force ``B u``.
+        system: Its coordinates and inputs.
         now: Returns the current ``(t, q, v)``.
         applied: Returns the input of the last step for its action.
     """
 
-    coordinates: tuple[str, ...]
-    angular: tuple[bool, ...]
-    inputs: tuple[str, ...]
-    matrix: np.ndarray
+    system: System
     now: Callable[[], tuple[float, np.ndarray, np.ndarray]]
     applied: Callable[[np.ndarray], np.ndarray]
 
@@ -89,6 +87,7 @@ def main(argv: Sequence[str]) -> int:
     env = _made(options.env)
     try:
         plant = _plant(env, options.env)
+        _refuse_rotations(options.env, plant.system.coordinates.rotations)
         policy = _policy(options.policy, env, options.seed)
         episodes = [
             record_episode(env, plant, policy, options.steps, options.seed + k)
@@ -127,13 +126,13 @@ def write_episodes(path: Path, plant: Plant, episodes: Sequence[Episode]) -> Non
     """Write episodes as a table of recordings (docs/recordings.md)."""
     import pandas as pd
 
-    parts = []
+    coordinates, parts = plant.system.coordinates.names, []
     for k, episode in enumerate(episodes):
         columns: dict[str, Any] = {"trajectory": k, "t": episode.t}
         for kind, names in (
-            ("q", plant.coordinates),
-            ("v", plant.coordinates),
-            ("u", plant.inputs),
+            ("q", coordinates),
+            ("v", coordinates),
+            ("u", plant.system.inputs),
         ):
             values = getattr(episode, kind)
             columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
@@ -160,19 +159,13 @@ def _plant(env: Any, name: str) -> Plant:
 
     base = env.unwrapped
     if isinstance(base, Environment):
-        system, h = base.system, base.system.time_step
-        _refuse_rotations(name, system.coordinates.rotations)
-        clock = {"steps": -1}
+        h, steps = base.system.time_step, itertools.count()
 
         def now() -> tuple[float, np.ndarray, np.ndarray]:
-            clock["steps"] += 1
             q, v = (x[0].numpy() for x in base.state())
-            return clock["steps"] * h, q, v
+            return next(steps) * h, q, v
 
-        return Plant(
-            system.coordinates.names, system.coordinates.angular, tuple(system.inputs),
-            system.input_matrix.numpy(), now, lambda action: action,
-        )  # fmt: skip
+        return Plant(base.system, now, lambda action: action)
     data: Any = getattr(base, "data", None)
     if not hasattr(base, "model") or not hasattr(data, "qpos"):
         raise ConfigError(
@@ -180,16 +173,13 @@ def _plant(env: Any, name: str) -> Plant:
             "and those of this package have them"
         )
     from symo_exp.systems.mujoco import environment_mechanism
+    from symo_exp.systems.multibody import Multibody
 
-    found = environment_mechanism(name)
-    _refuse_rotations(name, [joint["name"] for joint in found["joints"] if joint.get("axes")])
-    names = tuple(joint["name"] for joint in found["joints"])
     return Plant(
-        names, tuple(not joint["slides"] for joint in found["joints"]),
-        tuple(found["inputs"]["names"]), np.array(found["inputs"]["matrix"]),
+        Multibody(mechanism=environment_mechanism(name), time_step=base.model.opt.timestep),
         lambda: (float(data.time), data.qpos.copy(), data.qvel.copy()),
         lambda _: data.ctrl.copy(),
-    )  # fmt: skip
+    )
 
 
 def _refuse_rotations(name: str, rotations: Sequence[str]) -> None:
@@ -224,11 +214,10 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
 def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
     """Return a summary of the recording and the command that learns from it."""
     h = float(np.median(np.concatenate([np.diff(episode.t) for episode in episodes])))
-    angles = [n for n, turns in zip(plant.coordinates, plant.angular, strict=True) if turns]
-    angular = {0: "none", len(plant.coordinates): "all"}.get(
-        len(angles), f"[{','.join(angles)}]"
-    )  # fmt: skip
-    matrix = str(plant.matrix.tolist()).replace(" ", "")
+    names, turns = plant.system.coordinates.names, plant.system.coordinates.angular
+    angles = list(itertools.compress(names, turns))
+    angular = {0: "none", len(names): "all"}.get(len(angles), f"[{','.join(angles)}]")
+    matrix = str(plant.system.input_matrix.tolist()).replace(" ", "")
     rows = sum(len(episode.t) for episode in episodes)
     nodes = int(np.median([len(episode.t) for episode in episodes]))
     short = nodes < FEW or (nodes - 1) * h < SHORT
