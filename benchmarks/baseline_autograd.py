@@ -17,7 +17,8 @@ import torch
 from torch import Tensor, nn
 from torchdiffeq import odeint, odeint_adjoint
 
-from benchmarks.cases import Case, Layer, Windows
+from benchmarks.cases import Case, Layer
+from symo_exp.mechanics.types import Windows
 
 EPSILON = 1e-9
 TOLERANCE = 1e-5

@@ -25,7 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from benchmarks.cases import Case, Layer, Windows
+from benchmarks.cases import Case, Layer
+from symo_exp.mechanics.types import Windows
 
 EPSILON = 1e-9
 TOLERANCE = 1e-5
@@ -35,7 +36,7 @@ Parameters = list[tuple[Array, Array]]
 
 
 class Samples(NamedTuple):
-    """`benchmarks.cases.Windows` as JAX arrays (a pytree)."""
+    """`Windows` as JAX arrays (a pytree)."""
 
     q_prev: Array
     q: Array

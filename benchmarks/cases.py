@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.types import Windows
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system
 
@@ -105,27 +106,6 @@ def layers_of(parameters: Iterable[Tensor]) -> list[Layer]:
     """Copies of [weight, bias, weight, ...] as layers."""
     flat = [p.detach().double() for p in parameters]
     return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
-
-
-class Windows(NamedTuple):
-    """N samples of three consecutive nodes, h apart: q, v (N, n), u (N, m)."""
-
-    q_prev: Tensor
-    q: Tensor
-    q_next: Tensor
-    v: Tensor
-    v_next: Tensor
-    u_prev: Tensor
-    u: Tensor
-    u_next: Tensor
-
-    def to(self, dtype: torch.dtype) -> Windows:
-        """The same windows in another precision."""
-        return Windows(*(x.to(dtype) for x in self))
-
-    def rows(self, index: slice | Tensor) -> Windows:
-        """A selection of the samples."""
-        return Windows(*(x[index] for x in self))
 
 
 def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from benchmarks import baseline_autograd
-from benchmarks.cases import Case, Layer, Windows
+from benchmarks.cases import Case, Layer
+from symo_exp.mechanics.types import Windows
 
 
 class Contender(Protocol):
@@ -57,7 +58,7 @@ class Autograd:
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr)
 
     def prepare(self, windows: Windows) -> Windows:
-        return windows.to(self.dtype)
+        return Windows(*(x.to(self.dtype) for x in windows))
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
         loss = self.model.loss(batch)

@@ -15,12 +15,13 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import pandas as pd
 import torch
 
 from benchmarks.cases import CASES, METHODS, calm_weights, random_windows
 from benchmarks.project import Project
 from benchmarks.run import machine
-from benchmarks.scaling import write
+from benchmarks.tables import table
 from benchmarks.timing import interleaved
 from symo_exp.mechanics.types import Windows
 
@@ -54,16 +55,6 @@ def _step(contender: Project, batch: Windows) -> None:
         torch.cuda.synchronize()
 
 
-def table(rows: list[dict[str, object]]) -> str:
-    """Return a Markdown table: methods and kinds against the number of rows."""
-    found = {(r["method"], r["kind"], r["rows"]): r["ms"] for r in rows}
-    lines = [f"| | | {' | '.join(map(str, ROWS))} |", f"| --- | --- |{' --- |' * len(ROWS)}"]
-    for method, kind in dict.fromkeys((r["method"], r["kind"]) for r in rows):
-        cells = [str(found.get((method, kind, count), "–")) for count in ROWS]
-        lines.append(f"| {method} | {kind} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -80,8 +71,14 @@ def main(arguments: list[str] | None = None) -> None:
     rows: list[dict[str, object]] = []
     for row in measure(given.methods, kinds, given.rounds):
         rows.append(row)
-        write(rows, given.out / "devices.csv")  # a measurement that is stopped keeps its rows
-    print(table(rows))
+        # a measurement that is stopped keeps its rows
+        pd.DataFrame(rows).to_csv(given.out / "devices.csv", index=False)
+    found = {(row["method"], row["kind"], row["rows"]): row["ms"] for row in rows}
+    lines = [
+        [*pair, *(str(found.get((*pair, count), "–")) for count in ROWS)]
+        for pair in dict.fromkeys((str(row["method"]), str(row["kind"])) for row in rows)
+    ]
+    print(table(["", "", *map(str, ROWS)], lines))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +26,6 @@ from benchmarks.cases import (
     system_windows,
     training_batch,
 )
-from benchmarks.cases import Windows as SharedWindows
 from symo_exp.compile import compile_rollout, compile_training
 from symo_exp.compile.inductor import compiler_available as compiler_available
 from symo_exp.data.base import Once
@@ -36,7 +34,11 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.e2e_symo import E2ESyMo
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.node import NODE
 from symo_exp.models.objectives import RootError
+from symo_exp.models.symo import SyMo
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.mlp import MLP
 from symo_exp.optim.base import minibatches
@@ -49,7 +51,7 @@ from symo_exp.training.learner import Learner
 from symo_exp.training.recording import SeriesRecorder
 from symo_exp.training.trainer import make_trainer
 
-CLASSES = {"e2e_symo": "E2ESyMo", "l_node": "LNODE", "symo": "SyMo", "node": "NODE"}
+CLASSES = {"e2e_symo": E2ESyMo, "l_node": LNODE, "symo": SyMo, "node": NODE}
 CHUNK = 1024
 """Rows of an evaluation at a time, as `symo_exp.evaluation` takes them."""
 
@@ -88,8 +90,7 @@ def build(
         options["integrator"] = {"rk4": RK4, "midpoint": Midpoint}[integrator]()
     if method == "e2e_symo":
         options["guess"] = guess
-    module = importlib.import_module(f"symo_exp.models.{method}")
-    model: DynamicsModel = getattr(module, CLASSES[method])(**options).to(dtype)
+    model: DynamicsModel = CLASSES[method](**options).to(dtype)
     with torch.no_grad():
         for parameter, value in zip(parameters(model), flatten(layers), strict=True):
             parameter.copy_(value)
@@ -132,8 +133,8 @@ class Project:
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
         self._step = direct_step(self.optimizer)
 
-    def prepare(self, windows: SharedWindows) -> Windows:
-        return Windows(*(x.to(self.device) for x in windows.to(self.dtype)))
+    def prepare(self, windows: Windows) -> Windows:
+        return Windows(*(x.to(self.device, self.dtype) for x in windows))
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
         loss = self.learner.loss_and_gradients(batch)
@@ -235,9 +236,8 @@ def whole_fit(
     least so many `epochs` and `seconds`: a short one pays for its start and for the first hundred
     epochs, which are all sent to MLflow. The learning rate is 0: every fit is the same.
     """
-    windows = Windows(*training_batch(case.name, 8 * batch).to(torch.float32))
-    samples = _Samples(windows, batch)
     bare = Project(method, case, layers, lr=0.0)
+    samples = _Samples(bare.prepare(training_batch(case.name, 8 * batch)), batch)
     for _ in range(2):  # the first makes room
         began = time.perf_counter()
         for part in samples.batches():

@@ -8,17 +8,18 @@ memory of a process that trains. Writes `scaling.csv`, `memory.csv` and `scaling
 from __future__ import annotations
 
 import argparse
-import csv
-import math
 import os
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import numpy as np
+import pandas as pd
 import torch
 
 from benchmarks.cases import CASES, METHODS, Case, calm_weights, chain, random_windows
@@ -44,10 +45,10 @@ def axes(*, quick: bool) -> dict[str, list[Point]]:
     }
 
 
-def measure(*, quick: bool, process_clock: bool) -> list[dict[str, object]]:
+def measure(*, quick: bool, process_clock: bool) -> list[dict[str, Any]]:
     """Milliseconds of an optimiser step at every point, all points of a series interleaved."""
     clock = time.process_time if process_clock else time.perf_counter
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     for axis, points in axes(quick=quick).items():
         for method in METHODS:
             calls = {}
@@ -62,18 +63,11 @@ def measure(*, quick: bool, process_clock: bool) -> list[dict[str, object]]:
     return rows
 
 
-def exponent(rows: list[dict[str, object]], axis: str, method: str) -> float:
+def exponent(rows: list[dict[str, Any]], axis: str, method: str) -> float:
     """k of ms ~ x^k by least squares over the upper half of a series, where fixed costs fade."""
-    series = [
-        (math.log(float(str(r["x"]))), math.log(float(str(r["ms"]))))
-        for r in rows
-        if (r["axis"], r["method"]) == (axis, method)
-    ]
-    upper = sorted(series)[len(series) // 2 - (len(series) < 4) :]
-    mean_x = sum(x for x, _ in upper) / len(upper)
-    mean_y = sum(y for _, y in upper) / len(upper)
-    above = sum((x - mean_x) * (y - mean_y) for x, y in upper)
-    return above / sum((x - mean_x) ** 2 for x, _ in upper)
+    series = sorted((r["x"], r["ms"]) for r in rows if (r["axis"], r["method"]) == (axis, method))
+    upper = np.log(series[len(series) // 2 - (len(series) < 4) :])
+    return float(np.polyfit(*upper.T, 1)[0])
 
 
 MEMORY = """
@@ -94,9 +88,9 @@ print(imported, peak())
 """
 
 
-def memory(batches: tuple[int, ...]) -> list[dict[str, object]]:
+def memory(batches: tuple[int, ...]) -> list[dict[str, Any]]:
     """Peak resident memory [MiB] of a fresh process (Linux): after imports, and after training."""
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     for method in METHODS:
         for batch in batches:
             command = [sys.executable, "-c", MEMORY, method, str(batch)]
@@ -108,7 +102,7 @@ def memory(batches: tuple[int, ...]) -> list[dict[str, object]]:
     return rows
 
 
-def draw(rows: list[dict[str, object]], path: Path) -> None:
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """One panel an axis, double logarithmic, the exponents in the legends."""
     import matplotlib
 
@@ -139,14 +133,6 @@ def draw(rows: list[dict[str, object]], path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def write(rows: list[dict[str, object]], path: Path) -> None:
-    """Rows as CSV."""
-    with path.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Measure, fit, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -157,10 +143,11 @@ def main(arguments: list[str] | None = None) -> None:
     torch.set_num_threads(1)
     given.out.mkdir(parents=True, exist_ok=True)
     rows = measure(quick=given.quick, process_clock=given.process_clock)
-    write(rows, given.out / "scaling.csv")
+    pd.DataFrame(rows).to_csv(given.out / "scaling.csv", index=False)
     draw(rows, given.out / "scaling.png")
     if Path("/proc/self/status").exists():
-        write(memory((128,) if given.quick else (32, 128, 512)), given.out / "memory.csv")
+        found = memory((128,) if given.quick else (32, 128, 512))
+        pd.DataFrame(found).to_csv(given.out / "memory.csv", index=False)
 
 
 if __name__ == "__main__":
