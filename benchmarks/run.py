@@ -12,9 +12,11 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -25,28 +27,15 @@ from benchmarks.cases import CASES, METHODS, initial_weights, training_batch
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
 from benchmarks.plausible import plausible_weights
 from benchmarks.project import Project, compiler_available, trained_weights, whole_fit
+from benchmarks.tables import Row
 from benchmarks.timing import interleaved
+from symo_exp.mechanics.types import Windows
 from symo_exp.training.allocator import keep_freed_memory
 
 BATCHES = (32, 128, 512)
 EVALUATION_ROWS = 4096
 ROLLOUTS, ROLLOUT_STEPS = 16, 500
 FIT_BATCH = 128
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One cell: milliseconds of one call (median, quartiles), and Newton iterations at most."""
-
-    measure: str
-    system: str
-    method: str
-    batch: int
-    contender: str
-    ms: float
-    low: float
-    high: float
-    iterations: int | None
 
 
 MEASURES = ("step", "evaluation", "rollout", "fit", "hard")
@@ -68,7 +57,7 @@ class Plan:
     fit_epochs: int
     fit_seconds: float
     fit_rounds: int
-    process_clock: bool
+    clock: Callable[[], float]
     compiled: bool
 
 
@@ -83,40 +72,8 @@ def contenders(system: str, method: str, *, lr: float = 0.0) -> dict[str, Conten
     return found
 
 
-def cells(plan: Plan) -> Iterator[Measurement]:
+def cells(plan: Plan) -> Iterator[Row]:
     """Every measurement of the plan."""
-    clock = time.process_time if plan.process_clock else time.perf_counter
-    few = plan.baseline_rollout_steps
-
-    def measure(
-        name: str, system: str, method: str, rows: int, scale: dict[str, float], calls: dict
-    ) -> Iterator[Measurement]:
-        windows = training_batch(system, rows)
-        if name == "rollout":  # unforced, as the protocol's
-            still = torch.zeros_like(windows.u)
-            windows = windows._replace(u_prev=still, u=still, u_next=still)
-        batches = {k: c.prepare(windows) for k, c in group.items()}
-        bound = {k: (lambda k=k: calls[k](group[k], batches[k])) for k in calls}
-        heavy = name in ("evaluation", "rollout")
-        times = interleaved(
-            bound,
-            rounds=plan.heavy_rounds if heavy else plan.rounds,
-            turn_ms=plan.turn_ms,
-            warm_up=1 if heavy else 2,
-            clock=clock,
-        )
-        for k, t in times.items():
-            s = scale.get(k, 1.0)
-            taken = group[k].iterations(batches[k], training=name == "step")
-            yield Measurement(
-                name, system, method, rows, k, s * t.median, s * t.low, s * t.high, taken
-            )
-
-    def compiled(system: str, method: str) -> Project:
-        return Project(
-            method, CASES[system], trained_weights(system, method), lr=0.0, compiled=True
-        )
-
     for system in plan.systems:
         for method in plan.methods:
             group = contenders(system, method)
@@ -124,30 +81,75 @@ def cells(plan: Plan) -> Iterator[Measurement]:
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
                 if plan.compiled:  # a graph may belong to one number of rows
                     group["compiled"], step["compiled"] = compiled(system, method), step["project"]
-                yield from measure("step", system, method, rows, {}, step)
+                windows = training_batch(system, rows)
+                yield from measure(plan, "step", system, method, windows, group, step)
             group.pop("compiled", None)
             if "evaluation" in plan.measures:
                 predict = dict.fromkeys(group, lambda c, b: c.predict(b))
-                yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
+                windows = training_batch(system, EVALUATION_ROWS)
+                yield from measure(plan, "evaluation", system, method, windows, group, predict)
             if "rollout" in plan.measures:
-                # Some steps tell the cost of all, and (a) takes one trajectory at a time.
-                roll = dict.fromkeys(group, lambda c, b: c.rollout(b, plan.rollout_steps))
-                if plan.compiled:
-                    group["compiled"], roll["compiled"] = compiled(system, method), roll["project"]
-                roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
-                scale = dict.fromkeys(roll, ROLLOUT_STEPS / plan.rollout_steps)
-                scale["autograd"] = ROLLOUTS * ROLLOUT_STEPS / few
-                yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
+                yield from rollout_cells(plan, system, method, group)
             if "fit" in plan.measures:
                 yield from fit_cells(plan, system, method)
         if "hard" in plan.measures:
-            yield from hard_cells(plan, system)
+            group, windows = hard_contenders(system), training_batch(system, 32)
+            step = dict.fromkeys(group, lambda c, b: c.train_step(b))
+            yield from measure(plan, "hard rows", system, "e2e_symo", windows, group, step)
 
 
-def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
+def compiled(system: str, method: str) -> Project:
+    return Project(method, CASES[system], trained_weights(system, method), lr=0.0, compiled=True)
+
+
+def measure(
+    plan: Plan,
+    name: str,
+    system: str,
+    method: str,
+    windows: Windows,
+    group: dict[str, Contender],
+    calls: dict[str, Callable[[Contender, Any], object]],
+    scale: dict[str, float] | None = None,
+) -> Iterator[Row]:
+    """Calls of contenders in interleaved rounds; `scale` multiplies the times of some."""
+    batches = {k: c.prepare(windows) for k, c in group.items()}
+    bound = {k: partial(calls[k], group[k], batches[k]) for k in calls}
+    heavy = name in ("evaluation", "rollout")
+    times = interleaved(
+        bound,
+        rounds=plan.heavy_rounds if heavy else plan.rounds,
+        turn_ms=plan.turn_ms,
+        warm_up=1 if heavy else 2,
+        clock=plan.clock,
+    )
+    for k, t in times.items():
+        s = (scale or {}).get(k, 1.0)
+        taken = group[k].iterations(batches[k], training=not heavy)
+        rows = len(windows.q)
+        yield Row(name, system, method, rows, k, s * t.median, s * t.low, s * t.high, taken)
+
+
+def rollout_cells(
+    plan: Plan, system: str, method: str, group: dict[str, Contender]
+) -> Iterator[Row]:
+    """Rollouts, unforced as the protocol's; some steps tell the cost of all."""
+    windows = training_batch(system, ROLLOUTS)
+    still = torch.zeros_like(windows.u)
+    windows = windows._replace(u_prev=still, u=still, u_next=still)
+    few = plan.baseline_rollout_steps
+    if plan.compiled:
+        group = group | {"compiled": compiled(system, method)}
+    roll = dict.fromkeys(group, lambda c, b: c.rollout(b, plan.rollout_steps))
+    roll["autograd"] = lambda c, b: c.rollout(b.rows(slice(1)), few)  # it takes one row at a time
+    scale = dict.fromkeys(roll, ROLLOUT_STEPS / plan.rollout_steps)
+    scale["autograd"] = ROLLOUTS * ROLLOUT_STEPS / few
+    yield from measure(plan, "rollout", system, method, windows, group, roll, scale)
+
+
+def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Row]:
     """`Trainer.fit` per optimiser step beside the steps in it: the round of the median ratio."""
     layers = trained_weights(system, method)
-    clock = time.process_time if plan.process_clock else time.perf_counter
     with whole_fit(
         method,
         CASES[system],
@@ -155,13 +157,13 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
         FIT_BATCH,
         epochs=plan.fit_epochs,
         seconds=plan.fit_seconds,
-        clock=clock,
+        clock=plan.clock,
     ) as fit:
         rounds = sorted((fit() for _ in range(plan.fit_rounds)), key=lambda t: t[1] / t[0])
     middle = rounds[len(rounds) // 2]
     for name, ms, all_ms in zip(("bare", "fit"), middle, zip(*rounds, strict=True), strict=True):
         low, high = 1e3 * min(all_ms), 1e3 * max(all_ms)
-        yield Measurement(name, system, method, FIT_BATCH, "project", 1e3 * ms, low, high, None)
+        yield Row(name, system, method, FIT_BATCH, "project", 1e3 * ms, low, high, None)
 
 
 def hard_contenders(system: str) -> dict[str, Contender]:
@@ -185,18 +187,6 @@ def hard_contenders(system: str) -> dict[str, Contender]:
             ),
         }
     return group
-
-
-def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
-    """Measure steps of E2E-SyMo where training starts, with 8 trajectories."""
-    group = hard_contenders(system)
-    windows = training_batch(system, 32)
-    batches = {k: c.prepare(windows) for k, c in group.items()}
-    bound = {k: (lambda k=k: group[k].train_step(batches[k])) for k in group}
-    clock = time.process_time if plan.process_clock else time.perf_counter
-    for k, t in interleaved(bound, rounds=plan.rounds, turn_ms=plan.turn_ms, clock=clock).items():
-        taken = group[k].iterations(batches[k], training=True)
-        yield Measurement("hard rows", system, "e2e_symo", 32, k, t.median, t.low, t.high, taken)
 
 
 def machine() -> str:
@@ -246,7 +236,7 @@ def main(arguments: list[str] | None = None) -> None:
         fit_epochs=5 if given.quick else 50,
         fit_seconds=0.0 if given.quick else 6.0,
         fit_rounds=1 if given.quick else 3,
-        process_clock=given.process_clock,
+        clock=time.process_time if given.process_clock else time.perf_counter,
         compiled=given.compiled and compiler_available(),
     )
     if hasattr(os, "sched_setaffinity"):  # XLA's threads, too, have to share one core
@@ -259,9 +249,9 @@ def main(arguments: list[str] | None = None) -> None:
     worst = max(d.gradient for d in differences)
     print(f"all contenders compute the same numbers (gradients to {worst:.1e} of float64)")
     given.out.mkdir(parents=True, exist_ok=True)
-    rows: list[Measurement] = []
+    rows: list[Row] = []
     with (given.out / "measurements.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(Measurement)])
+        writer = csv.DictWriter(stream, [f.name for f in fields(Row)])
         writer.writeheader()
         for row in cells(plan):
             rows.append(row)

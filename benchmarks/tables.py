@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from dataclasses import dataclass
 
 
-class Row(Protocol):
-    """A measurement (`benchmarks.run.Measurement`)."""
+@dataclass(frozen=True)
+class Row:
+    """One cell: milliseconds of one call (median, quartiles), and Newton iterations at most."""
 
     measure: str
     system: str
@@ -16,6 +17,8 @@ class Row(Protocol):
     batch: int
     contender: str
     ms: float
+    low: float
+    high: float
     iterations: int | None
 
 
