@@ -7,7 +7,6 @@ one, by backpropagation through the step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,34 +58,23 @@ def differences(
     case, layers = CASES[system], plausible_weights(system, method)
     windows = system_windows(system, rows)
     reference = Autograd(method, case, layers, dtype=torch.float64, **exact(method))
+    batch = reference.prepare(windows)
+    true_loss, true_slope = reference.loss_and_gradient(batch)
+    true_configuration = reference.predict(batch)
     contenders: dict[str, Contender] = {"autograd": Autograd(method, case, layers, **exact(method))}
     if jax_is_installed():
         contenders["jax"] = Jax(method, case, layers)
     contenders["project"] = Project(method, case, layers)
     if compiled:
         contenders["compiled"] = Project(method, case, layers, compiled=True)
-    return compare(system, method, reference, contenders, windows)
-
-
-def compare(
-    system: str,
-    method: str,
-    reference: Contender,
-    contenders: Mapping[str, Contender],
-    windows: object,
-) -> list[Difference]:
-    """Every contender beside the reference."""
-    batch = reference.prepare(windows)  # type: ignore[arg-type]
-    true_loss, true_slope = reference.loss_and_gradient(batch)
-    true_configuration = reference.predict(batch)
-    rows = []
+    found = []
     for name, contender in contenders.items():
-        batch = contender.prepare(windows)  # type: ignore[arg-type]
+        batch = contender.prepare(windows)
         loss, slope = contender.loss_and_gradient(batch)
         error = sum(np.sum((a - b) ** 2) for a, b in zip(slope, true_slope, strict=True))
         size = sum(np.sum(b**2) for b in true_slope)
         configuration = np.abs(contender.predict(batch) - true_configuration).max()
-        rows.append(
+        found.append(
             Difference(
                 system,
                 method,
@@ -96,7 +84,7 @@ def compare(
                 float(configuration),
             )
         )
-    return rows
+    return found
 
 
 def check(systems: list[str], methods: list[str], *, compiled: bool = False) -> list[Difference]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.agreement import exact
 from benchmarks.baseline_autograd import CLASSES, LNODE, E2ESyMo, SyMo
 from benchmarks.cases import (
     CASES,
@@ -21,7 +22,6 @@ from benchmarks.project import Project, whole_fit
 from benchmarks.run import hard_contenders
 
 SMALL = [chain(1, 12), chain(2, 12), chain(3, 12)]
-EXACT = {"node": {"adjoint": False}, "l_node": {"adjoint": False}}
 PAIRS = [
     pytest.param(method, case, id=f"{method}-{case.name}")
     for method, case in zip(METHODS, itertools.cycle(SMALL), strict=False)
@@ -34,7 +34,7 @@ needs_jax = pytest.mark.skipif(not jax_is_installed(), reason="JAX is not instal
 
 def reference(method, case):
     """Baseline (a) in float64, its roots converged, its gradient that of the step."""
-    options = EXACT.get(method, {}) | TIGHT.get(method, {})
+    options = exact(method) | TIGHT.get(method, {})
     return Autograd(method, case, calm_weights(case, method), dtype=torch.float64, **options)
 
 
