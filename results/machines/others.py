@@ -50,7 +50,6 @@ class Simulated(NamedTuple):
         acting: Generalised forces (rows, n), from coordinates, velocities and inputs; ``None``:
             the inputs themselves, on the driven coordinates.
         lag: Time constant with which inputs act [s].
-        encoder: Steps of the encoders, 0 for none [rad, m].
         noise: Noise of the samples [rad, m].
         sample: Distance of the samples [s].
         seconds: Length of a motion [s].
@@ -68,7 +67,6 @@ class Simulated(NamedTuple):
     control: Callable[[Array, Array], Array] | None = None
     acting: Callable[[Array, Array, Array], Array] | None = None
     lag: float = 0.0
-    encoder: float | Sequence[float] = 0.0
     noise: float = NOISE
     sample: float = SAMPLE
     seconds: float = SECONDS
@@ -281,7 +279,7 @@ def recorded(machine: Simulated) -> pd.DataFrame:
         u = size * np.sin(np.pi * frequency * t + phase).sum(0) / 2
         if machine.control is not None:
             u = u + machine.control(q, v)
-        read = _encoded(q + machine.noise * rng.normal(size=q.shape), machine.encoder)
+        read = q + machine.noise * rng.normal(size=q.shape)
         table.append(np.column_stack([np.arange(COUNT), np.full(COUNT, t), read, u]))
         for _ in range(STEPS):
             f, held = held, _after(held, u, h, machine.lag)
@@ -300,12 +298,6 @@ def recorded(machine: Simulated) -> pd.DataFrame:
 def _after(held: Array, u: Array, t: float, lag: float) -> Array:
     """Return what acts ``t`` [s] after an input ``u`` was set, ``held`` having acted before."""
     return u + (held - u) * np.exp(-t / lag) if lag else u
-
-
-def _encoded(q: Array, step: float | Sequence[float]) -> Array:
-    """Return configurations as encoders read them."""
-    size = np.asarray(step, dtype=float)
-    return np.where(size > 0.0, np.round(q / np.where(size > 0.0, size, 1.0)) * size, q)
 
 
 def slopes(machine: Simulated) -> Callable[[Array, Array, Array], Array]:
