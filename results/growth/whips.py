@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 
 import torch
-import yaml
 
 from symo_exp.job.parts import build, default_dtype
 from symo_exp.models.flows import VariationalFlow
@@ -17,7 +16,7 @@ from symo_exp.optim.base import concatenated
 from symo_exp.runs.folder import RunFolder
 
 if __name__ == "__main__":
-    settings = yaml.safe_load((Path(sys.argv[1]) / "config.yaml").read_text())
+    settings = RunFolder(sys.argv[1]).config()
     with tempfile.TemporaryDirectory() as folder, default_dtype(settings["dtype"]):
         parts = build(settings, RunFolder(Path(folder)))
         parts.data.prepare_data()

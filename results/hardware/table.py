@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
-import yaml
 
 from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
@@ -53,7 +52,7 @@ def runs(outputs: Path) -> pd.DataFrame:
         about = folder.about()
         if about is None or folder.outcome().status != "finished":
             continue
-        config, found = yaml.safe_load((path / "config.yaml").read_text()), folder.measures()
+        config, found = folder.config(), folder.measures()
         run = {
             "machine": Path(config["data"]["path"]).stem,
             "seed": config["seed"],

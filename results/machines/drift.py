@@ -12,14 +12,13 @@ import sys
 from pathlib import Path
 
 import pandas as pd
-from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 from symo_exp.evaluation.horizon import HORIZONS, cut, median, predict, whole_error
 from symo_exp.identify.fits import ITERATIONS
 from symo_exp.models.horizon import HorizonError
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
-from symo_exp.runs.load import from_folder
+from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.load import divided_recordings, from_folder
 from symo_exp.training.learner import Learner
 
 
@@ -40,10 +39,8 @@ def halves(file: str, folder: str) -> None:
 
 
 def refine(run: str, epochs: str) -> None:
-    model, config = from_folder(Path(run)), OmegaConf.load(Path(run) / "config.yaml")
-    system = instantiate(config.system)
-    data = instantiate(config.data, _partial_=True)(system=system).load()
-    h, place = system.time_step, model.input_matrix
+    model, data = from_folder(Path(run)), divided_recordings(RunFolder(run))
+    h, place = model.time_step, model.input_matrix
 
     def show() -> None:
         windows = cut(data.val, h, run_in=True)

@@ -7,23 +7,19 @@ Predicts the windows of the validation part of a run as its validations do, firs
 
 import sys
 import time
-from pathlib import Path
 from unittest import mock
-
-from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 import symo_exp
 from symo_exp.evaluation.horizon import cut, predict
 from symo_exp.identify.fits import ITERATIONS
 from symo_exp.models.flows import VariationalFlow
+from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.load import divided_recordings
 
 
 def main(run: str) -> None:
-    model, config = symo_exp.load(run), OmegaConf.load(Path(run) / "config.yaml")
-    system = instantiate(config.system)
-    data = instantiate(config.data, _partial_=True)(system=system)
-    windows = cut(data.load().val, system.time_step, run_in=True)
+    model, data = symo_exp.load(run), divided_recordings(RunFolder(run))
+    windows = cut(data.val, model.time_step, run_in=True)
     assert windows is not None
     errors, times = [], []
     for together in (False, True):

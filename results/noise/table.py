@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import pandas as pd
-import yaml
 
 from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.before import model_settings
@@ -35,7 +34,7 @@ def runs(outputs: Path) -> pd.DataFrame:
         about = folder.about()
         if about is None or folder.outcome().status != "finished":
             continue
-        config, found = yaml.safe_load(path.read_text()), folder.measures()
+        config, found = folder.config(), folder.measures()
         method = METHODS[config["model"]["_target_"].rsplit(".", 1)[-1]]
         rows.append(
             {

@@ -14,7 +14,6 @@ import hydra.utils
 import numpy as np
 import pandas as pd
 import torch
-import yaml
 
 import symo_exp
 from symo_exp.data.draws import generate, uniform
@@ -64,8 +63,9 @@ def draws(runs: Path, name: str) -> str:
     system = true = None
     rows = []
     for file in runs.glob(f"*-{name}-*/config.yaml"):
-        config = yaml.safe_load(file.read_text())
-        data, folder = config["data"], RunFolder(file.parent)
+        folder = RunFolder(file.parent)
+        config = folder.config()
+        data = config["data"]
         if folder.outcome().status != "finished" or data["n_traj"] != 32:
             continue
         noise = data["noise_std"]

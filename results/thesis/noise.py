@@ -14,7 +14,6 @@ from pathlib import Path
 import hydra.utils
 import pandas as pd
 import torch
-import yaml
 from torch import Tensor
 
 import symo_exp
@@ -55,9 +54,10 @@ def table(runs: Path, name: str) -> str:
     """The runs of one system."""
     rows = []
     for file in runs.glob(f"*symo-{name}-*/config.yaml"):
-        config = yaml.safe_load(file.read_text())
+        folder = RunFolder(file.parent)
+        config = folder.config()
         noise = config["data"]["noise_std"]
-        if not noise or RunFolder(file.parent).outcome().status != "finished":
+        if not noise or folder.outcome().status != "finished":
             continue
         learned = symo_exp.load(file.parent, dtype=torch.float64).for_evaluation().double()
         system = hydra.utils.instantiate(config["system"])

@@ -15,7 +15,6 @@ import argparse
 from pathlib import Path
 
 import torch
-import yaml
 from torch import Tensor
 
 import symo_exp
@@ -23,6 +22,7 @@ from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import HORIZONS, cut, predict
 from symo_exp.evaluation.intervals import LEVEL, ROLLOUTS, relative_error
 from symo_exp.models.uncertainty import quantile, sensitivity, spread
+from symo_exp.runs.folder import RunFolder
 
 HEAD = (
     "| machine | recordings | by the others | by validation alone | val. / train. errors "
@@ -45,7 +45,7 @@ def held(error: Tensor, variance: Tensor, sensitive: Tensor, kappa: Tensor, h: f
 
 
 def row(run: Path) -> str:
-    path = yaml.safe_load((run / "config.yaml").read_text())["data"]["path"]
+    path = RunFolder(run).config()["data"]["path"]
     model = symo_exp.load(run).double()
     if model.posterior is None:
         raise SystemExit(f"{run}: the model has no posterior; give a run of total_least_squares")
