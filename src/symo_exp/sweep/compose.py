@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hydra.core.config_loader import ConfigLoader
@@ -191,29 +191,21 @@ class Composer:
             job: The job.
             idle: As in ``Settings.is_read``.
         """
-        read = functools.partial(job.settings.is_read, idle=idle)
         parsed = OverridesParser.create().parse_overrides(job.overrides)
-        unread = [one for one in parsed if not self._is_read(one, job, parsed, read)]
-        return {str(one.input_line): one.key_or_group for one in unread}
-
-    def _is_read(
-        self,
-        override: Override,
-        job: Job,
-        parsed: Sequence[Override],
-        read: Callable[[str], bool],
-    ) -> bool:
-        name = override.key_or_group
-        if name.partition(".")[0] not in job.values or read(name):
-            return True
-        if not self._is_choice(override):
-            return False
-        choices = [o for o in parsed if self._is_choice(o)]  # their files may set other nodes too
-        every, others = (
-            dict(relevant(unresolved(self.files(*(str(o.input_line) for o in some)))))
-            for some in (choices, [o for o in choices if o is not override])
-        )
-        return any(every.get(one) != others.get(one) and read(one) for one in {**every, **others})
+        choices = [one for one in parsed if self._is_choice(one)]
+        every, found = dict(relevant(job.known)), {}
+        for override in parsed:
+            name = override.key_or_group
+            if name.partition(".")[0] not in job.values or job.settings.is_read(name, idle):
+                continue
+            if override in choices:  # its file may set other nodes too
+                files = self.files(*(str(o.input_line) for o in choices if o is not override))
+                others = dict(relevant(unresolved(files)))
+                changed = [x for x in every | others if every.get(x) != others.get(x)]
+                if any(job.settings.is_read(one, idle) for one in changed):
+                    continue
+            found[str(override.input_line)] = name
+        return found
 
     def _composed(self, *overrides: str) -> DictConfig:
         """Return a configuration; of Hydra's own part only what names a folder is kept."""
