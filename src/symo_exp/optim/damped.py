@@ -51,8 +51,8 @@ class DampedSystem:
         A wide ``J`` has it as ``−Jᵀ (J Jᵀ + λ s I)⁻¹ r``.
         """
         if self._wide:
-            return -self._transposed(_solve(factor, residuals))
-        return -_solve(factor, self._transposed(residuals))
+            return -self._transposed(solved(factor, residuals))
+        return -solved(factor, self._transposed(residuals))
 
     def change(self, step: Float[Tensor, " parameters"]) -> Float[Tensor, " equations"]:
         """Return ``J δ``."""
@@ -79,5 +79,6 @@ class DampedSystem:
         return gram.mul_(self.scale**2)
 
 
-def _solve(factor: Tensor, right: Tensor) -> Tensor:
+def solved(factor: Float[Tensor, "n n"], right: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """Return ``(L Lᵀ)⁻¹ b``, given the Cholesky factor ``L``."""
     return torch.cholesky_solve(right.unsqueeze(-1), factor).squeeze(-1)

@@ -9,6 +9,7 @@ acceleration (Transtrum and Sethna 2012): with ``r''`` the second derivative of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 from torch import Tensor
@@ -17,30 +18,6 @@ PROBE = 0.1
 """Part of the straight step at which its bend is measured."""
 LONGEST = 0.75
 """Bound on twice the correction, relative to the straight step."""
-
-
-class DampedEquations(ABC):
-    """Linearised residuals with damped normal equations, at one damping."""
-
-    @abstractmethod
-    def straight(self) -> Tensor:
-        """Return the step ``δ`` that minimises the damped linear problem, (parameters,)."""
-
-    @abstractmethod
-    def bend(self, step: Tensor) -> Tensor:
-        """Return ``½ r''`` along a step."""
-
-    @abstractmethod
-    def correction(self, bend: Tensor) -> Tensor:
-        """Return the step that the equations ask for with ``½ r''`` for residuals."""
-
-    @abstractmethod
-    def length(self, step: Tensor) -> Tensor:
-        """Return the length of a step in the norm of the damping."""
-
-    @abstractmethod
-    def predicted(self, step: Tensor) -> float:
-        """Return the decrease of the objective that the linear problem predicts for ``δ``."""
 
 
 class Move(NamedTuple):
@@ -68,13 +45,23 @@ class Move(NamedTuple):
         return Move(straight + correction, share**2 * self.bend, shorter, correction)
 
 
-def accelerated(equations: DampedEquations) -> Move:
-    """Return the accelerated step, straight if the correction is too long."""
-    straight = equations.straight()
-    bend = equations.bend(straight)
-    correction = equations.correction(bend)
-    predicted = equations.predicted(straight)
-    if bool(2.0 * equations.length(correction) <= LONGEST * equations.length(straight)):
+def accelerated(
+    straight: Tensor,
+    bend: Tensor,
+    correction: Tensor,
+    predicted: float,
+    length: Callable[[Tensor], Tensor],
+) -> Move:
+    """Return the accelerated step, straight if the correction is too long.
+
+    Args:
+        straight: The step ``δ`` that minimises the damped linear problem, (parameters,).
+        bend: ``½ r''`` along it.
+        correction: The step that the equations ask for with ``½ r''`` for residuals.
+        predicted: The decrease of the objective that the linear problem predicts for ``δ``.
+        length: The norm of the damping.
+    """
+    if bool(2.0 * length(correction) <= LONGEST * length(straight)):
         return Move(straight + correction, bend, predicted, correction)
     return Move(straight, None, predicted)
 
@@ -95,8 +82,8 @@ class Descent(ABC):
         self.objective, self.shortest = objective, shortest
 
     @abstractmethod
-    def equations(self) -> DampedEquations | None:
-        """Return the equations at the present damping, ``None`` without a factor."""
+    def proposed(self) -> Move | None:
+        """Return the step at the present damping, ``None`` if its equations have no factor."""
 
     @abstractmethod
     def take(self, move: Move) -> float:
@@ -113,9 +100,8 @@ class Descent(ABC):
     def run(self, trials: int) -> bool:
         """Try steps with growing damping; return whether one was accepted."""
         for trial in range(trials):
-            equations = self.equations()
-            if equations is not None:
-                move = accelerated(equations)
+            move = self.proposed()
+            if move is not None:
                 fall = self.objective - self.take(move)
                 if fall < 0.5 * move.predicted and self.shortest < 1.0:
                     fall = self._shorter(move, fall)

@@ -15,7 +15,7 @@ from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
-from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
+from symo_exp.optim.descent import PROBE, Descent, Move, accelerated
 from symo_exp.optim.robust import median_of_rows, weights_beyond
 
 FALLS = 0.9
@@ -167,9 +167,18 @@ class _Trials(Descent):
         super().__init__(float(self.system.r @ self.system.r), shortest=owner.shortest)
 
     @override
-    def equations(self) -> _Equations | None:
-        factor = self.system.factor(self._owner.damping)
-        return None if factor is None else _Equations(self, factor)
+    def proposed(self) -> Move | None:
+        system = self.system
+        factor = system.factor(self._owner.damping)
+        if factor is None:
+            return None
+        straight = system.towards_zero(factor, system.r)
+        linear = system.change(straight)
+        there = system.scale * self.residuals(PROBE * straight)
+        bend = (there - system.r - PROBE * linear) / PROBE**2
+        correction = system.towards_zero(factor, bend)
+        predicted = -float(linear @ (2.0 * system.r + linear))
+        return accelerated(straight, bend, correction, predicted, torch.linalg.vector_norm)
 
     @override
     def take(self, move: Move) -> float:
@@ -191,36 +200,6 @@ class _Trials(Descent):
         pieces = [self._model.residuals(w).flatten() for w in _chunks(self._samples)]
         residuals = torch.cat(pieces)
         return residuals if self._factors is None else self._factors * residuals
-
-
-class _Equations(DampedEquations):
-    """``(JᵀJ + λ s I) δ = −Jᵀ r``."""
-
-    def __init__(self, trials: _Trials, factor: Tensor) -> None:
-        self._trials, self._system, self._factor = trials, trials.system, factor
-        self._straight = self._system.towards_zero(factor, self._system.r)
-        self._linear = self._system.change(self._straight)
-
-    @override
-    def straight(self) -> Tensor:
-        return self._straight
-
-    @override
-    def bend(self, step: Tensor) -> Tensor:
-        there = self._system.scale * self._trials.residuals(PROBE * step)
-        return (there - self._system.r - PROBE * self._linear) / PROBE**2
-
-    @override
-    def correction(self, bend: Tensor) -> Tensor:
-        return self._system.towards_zero(self._factor, bend)
-
-    @override
-    def length(self, step: Tensor) -> Tensor:
-        return step.norm()
-
-    @override
-    def predicted(self, step: Tensor) -> float:
-        return -float(self._linear @ (2.0 * self._system.r + self._linear))
 
 
 def _chunks(samples: TrainingSamples) -> Iterator[TrainingSamples]:

@@ -33,7 +33,8 @@ from typing_extensions import override
 from symo_exp.nets.roles import are_squares, is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
 from symo_exp.optim.base import EpochOptimizer, Equations
-from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
+from symo_exp.optim.damped import solved
+from symo_exp.optim.descent import PROBE, Descent, Move, accelerated
 from symo_exp.optim.evidence import evidence
 
 SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
@@ -184,21 +185,30 @@ class NodesAndParameters(Descent):
         super().__init__(objective.value(self.x, self.r, self.theta))
 
     @override
-    def equations(self) -> ReducedEquations | None:
+    def proposed(self) -> Move | None:
         self._held = self._memory["held"] if self._objective.epsilon else 0.0
-        self._at = self._eliminated(self._held) if self._held else self.free
-        if self._at is None:
+        self._at = at = self._eliminated(self._held) if self._held else self.free
+        if at is None:
             return None
         prior = self._memory["noise"] * self._objective.precision
-        diagonal = self._at.gram.diagonal()
+        diagonal = at.gram.diagonal()
         damping = self._memory["damping"] * (diagonal + 1e-6 * diagonal.amax())
-        slope = (self._at.gradient + prior * self.theta) * self._objective.moves
+        slope = (at.gradient + prior * self.theta) * self._objective.moves
         bent = torch.where(self._objective.squares, slope / self.theta, 0.0)
         bent = bent.nan_to_num(0.0).clamp(min=0.0)
-        factor, info = torch.linalg.cholesky_ex(self._at.gram + torch.diag(prior + bent + damping))
+        factor, info = torch.linalg.cholesky_ex(at.gram + torch.diag(prior + bent + damping))
         if int(info) != 0:
             return None
-        return ReducedEquations(self, self._at, factor, damping, slope)
+        straight = -solved(factor, slope)
+        bend = self._bend(at, straight)
+        pull = bend if at.factor is None else at.factor.solve(bend)
+        correction = -solved(factor, at.by_theta.flatten(0, 1).T @ pull.flatten())
+        predicted = float(-(slope @ straight) + damping @ straight.square())
+
+        def length(step: Tensor) -> Tensor:
+            return (damping @ step.square()).sqrt()
+
+        return accelerated(straight, bend, correction, predicted, length)
 
     @override
     def take(self, move: Move) -> float:
@@ -235,7 +245,7 @@ class NodesAndParameters(Descent):
         else:
             self._memory["held"] = min(max(self._held * FAILURE, 1.0), LIMIT)
 
-    def nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
+    def _nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
         """Return ``y − J_xᵀ S⁻¹ e``."""
         if at.factor is None:
             held: Tensor = self._memory["nodes"]
@@ -243,10 +253,10 @@ class NodesAndParameters(Descent):
         moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
         return at.target - self._objective.weight * moved
 
-    def bend(self, at: Reduced, delta: Tensor) -> Float[Tensor, "windows k"]:
+    def _bend(self, at: Reduced, delta: Tensor) -> Float[Tensor, "windows k"]:
         """Return ``½ r''`` along a step of the parameters and the nodes that follow it."""
         linear = at.by_theta @ delta
-        way = self.nodes(at, at.e + linear) - self.x
+        way = self._nodes(at, at.e + linear) - self.x
         linear = linear + self._chain.apply(at.by_x, way / self._objective.weight)
         self._owner.place(self.theta + PROBE * delta)
         there = self._objective.residuals(self.x + PROBE * way)
@@ -281,58 +291,19 @@ class NodesAndParameters(Descent):
         The better of two steps of the nodes and of the first one alone, which is surely downhill.
         """
         e = at.e + at.by_theta @ move.step
-        x = self.nodes(at, e if move.bend is None else e + move.bend)
+        x = self._nodes(at, e if move.bend is None else e + move.bend)
         if at.factor is None:
             return x, self._objective.residuals(x)
         r, _, by_x = self._objective.differentiated(x, ())
         e, factor = self._factored(x, r, by_x, at.target, at.weight)
         if factor is None:
             return x, r
-        further = self.nodes(at._replace(by_x=by_x, factor=factor), e)
+        further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
         steps = (x, r), (further, self._objective.residuals(further))
         return min(steps, key=lambda step: self._objective.misfit(*step))
 
     def _nodes_settle(self, at: Reduced) -> bool:
         """Return whether a step of the nodes alone does not raise the objective."""
-        x = self.nodes(at, at.e)
+        x = self._nodes(at, at.e)
         value = self._objective.value(x, self._objective.residuals(x), self.theta)
         return value <= self.objective * (1.0 + 1e-13)
-
-
-class ReducedEquations(DampedEquations):
-    """The damped normal equations of the parameters."""
-
-    def __init__(
-        self,
-        descent: NodesAndParameters,
-        at: Reduced,
-        factor: Float[Tensor, "parameters parameters"],
-        damping: Float[Tensor, " parameters"],
-        slope: Float[Tensor, " parameters"],
-    ) -> None:
-        self._descent, self._at = descent, at
-        self._factor, self._damping, self._slope = factor, damping, slope
-
-    @override
-    def straight(self) -> Tensor:
-        return self._solved(self._slope)
-
-    @override
-    def bend(self, step: Tensor) -> Tensor:
-        return self._descent.bend(self._at, step)
-
-    @override
-    def correction(self, bend: Tensor) -> Tensor:
-        pull = bend if self._at.factor is None else self._at.factor.solve(bend)
-        return self._solved(self._at.by_theta.flatten(0, 1).T @ pull.flatten())
-
-    @override
-    def length(self, step: Tensor) -> Tensor:
-        return (self._damping @ step.square()).sqrt()
-
-    @override
-    def predicted(self, step: Tensor) -> float:
-        return float(-(self._slope @ step) + self._damping @ step.square())
-
-    def _solved(self, slope: Tensor) -> Tensor:
-        return -torch.cholesky_solve(slope.unsqueeze(-1), self._factor).squeeze(-1)
