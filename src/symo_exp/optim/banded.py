@@ -180,16 +180,15 @@ class BandFactor:
         """The logarithm of the determinant of ``S``."""
         return float(2.0 * np.log(self._band[0]).sum())
 
-    def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Tensor:
-        """Return ``L⁻¹ x``."""
-        return self._solve(x, b"N")
+    def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Float[Tensor, "rows k"]:
+        """Return ``L⁻¹ x``, a row for each row of ``S``."""
+        found, _ = lapack.dtbtrs(self._band, self._rows(x), uplo=b"L")
+        return torch.from_numpy(np.ascontiguousarray(found))
 
     def solve(self, x: Float[Tensor, "blocks m"]) -> Float[Tensor, "blocks m"]:
         """Return ``S⁻¹ x``."""
-        return self._solve(self._solve(x, b"N"), b"T").view(self._shape)
+        found, _ = lapack.dpbtrs(self._band, self._rows(x), lower=1)
+        return torch.from_numpy(found).view(self._shape)
 
-    def _solve(self, x: Tensor, transposed: bytes) -> Tensor:
-        rows = x.reshape(self._shape[0] * self._shape[1], -1).numpy()
-        found, _ = lapack.dtbtrs(self._band, rows, uplo=b"L", trans=transposed)
-        result = torch.from_numpy(np.ascontiguousarray(found))
-        return result.squeeze(1) if x.ndim <= 2 and result.shape[1] == 1 else result
+    def _rows(self, x: Tensor) -> np.ndarray:
+        return x.reshape(self._shape[0] * self._shape[1], -1).numpy()

@@ -45,15 +45,6 @@ LIMIT, SETTLED = 1e12, 1e-6
 """The largest damping, and the relative change of noise and priors that counts as none."""
 
 
-class Found(NamedTuple):
-    """The result of a step."""
-
-    metrics: dict[str, float]
-    ended: bool
-    """True if further steps are pointless: none was accepted at the largest damping, and noise and
-    priors no longer change."""
-
-
 class SmoothingObjective:
     """``Σ|x − y|² + Σ|r|²/ε² + σ² Σ_g α_g |θ_g|²``, in units of the noise of ``q``.
 
@@ -134,8 +125,13 @@ class SmoothingObjective:
         )
 
 
-def smoothing_step(objective: SmoothingObjective) -> Found:
-    """Move nodes and parameters by one accepted step, then update noise and priors."""
+def smoothing_step(objective: SmoothingObjective) -> tuple[dict[str, float], bool]:
+    """Move nodes and parameters by one accepted step, then update noise and priors.
+
+    Returns:
+        Metrics, and whether further steps are pointless: none was accepted at the largest damping,
+        and noise and priors no longer change.
+    """
     memory = objective.memory
     descent = NodesAndParameters(objective)
     accepted = descent.run(TRIALS)
@@ -147,7 +143,7 @@ def smoothing_step(objective: SmoothingObjective) -> Found:
         "noise_estimate": memory["noise"] ** 0.5,
         "damping": memory["damping"],
     }
-    return Found(metrics, ended=not accepted and stuck and settled)
+    return metrics, not accepted and stuck and settled
 
 
 class Reduced(NamedTuple):

@@ -191,11 +191,11 @@ class TotalLeastSquares(EpochOptimizer):
             if epoch < self.force_epochs:
                 windows = chain.windows(*chain.stencil(memory["nodes"]))
                 equations = model.as_forces(windows) or model
-            found = smoothing_step(
+            metrics, ended = smoothing_step(
                 SmoothingObjective(self, equations, chain, weight, stage.epsilon, late=stage.late)
             )
-            memory["loss"], metrics = found.metrics["train_loss"], found.metrics
-            if found.ended:
+            memory["loss"] = metrics["train_loss"]
+            if ended:
                 memory["ended"] = metrics
                 log.warning("%s: no step lowers the objective; the best so far is kept", stage)
         else:  # the remaining epochs only pass, so that validation keeps its schedule
