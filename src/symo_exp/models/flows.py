@@ -103,12 +103,13 @@ class Flow(nn.Module, ABC):
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
         """Take one time step, differentiable in all arguments and in the parameters."""
 
-    @abstractmethod
     def initial_velocity(self, windows: Windows) -> Float[Tensor, "samples n"]:
-        """Return the velocity at node ``k`` with which a prediction starts.
+        """Return the velocity at node ``k`` with which a prediction starts: the measured one.
 
-        In evaluation, rows in which no motion between nodes is found are NaN.
+        A flow that does not read it returns an estimate; in evaluation, its rows in which no motion
+        between nodes is found are NaN.
         """
+        return windows.v
 
     def predict(self, windows: Windows) -> Step:
         """Return the one-step prediction of node ``k+1``, which all measures use."""
@@ -291,10 +292,6 @@ class ExplicitFlow(Flow):
         state = rule.step(self.field.forward, q, y, u, u_next, h, self.space)
         return *state, torch.ones_like(q[:, 0], dtype=torch.bool)
 
-    @override
-    def initial_velocity(self, windows: Windows) -> Tensor:
-        return windows.v
-
 
 class VariationalFlow(Flow):
     """The discrete Euler-Lagrange equations of a Lagrangian (thesis section 3.3).
@@ -360,13 +357,10 @@ class VariationalFlow(Flow):
 
     @override
     def predict(self, windows: Windows) -> Step:
-        before = self.expand_before(windows) if self.integrator.iterates else None
-        q, p = windows.q, self.momentum_before(windows, before)
+        q, (p, found) = windows.q, self._before(windows)
         guess = self.space.extrapolated(windows.q_prev, q)
         step = self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
-        if before is None or before.found is None:
-            return step
-        return step._replace(converged=step.converged & before.found)
+        return step if found is None else step._replace(converged=step.converged & found)
 
     @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
@@ -468,11 +462,15 @@ class VariationalFlow(Flow):
 
     @override
     def initial_velocity(self, windows: Windows) -> Tensor:
+        p, found = self._before(windows)
+        v = self.decode(windows.q, p)
+        return v if found is None else v.where(found.unsqueeze(1), torch.nan)
+
+    def _before(self, windows: Windows) -> tuple[Tensor, Tensor | None]:
+        """Return ``p_k``, and the rows with a motion that leads there; ``None``: all."""
         before = self.expand_before(windows) if self.integrator.iterates else None
-        v = self.decode(windows.q, self.momentum_before(windows, before))
-        if before is None or before.found is None:
-            return v
-        return v.where(before.found.unsqueeze(1), torch.nan)
+        found = None if before is None else before.found
+        return self.momentum_before(windows, before), found
 
     @override
     def converged(self) -> VariationalFlow:

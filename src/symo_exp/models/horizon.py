@@ -158,12 +158,9 @@ class HorizonError(Objective):
     def _backwards(self, flow: Flow, found: _Fitted) -> Float[Tensor, "stretches errors"]:
         """Return residuals with a graph of their motions."""
         by_start, _ = _forwards(flow, found, ())
-        q, y = found.start.q, flow.encode(*found.start)
-        path = [q]
-        for before, after in zip(found.u[:, :-1].unbind(1), found.u[:, 1:].unbind(1), strict=True):
-            q, y, _ = flow.advance(q, y, before, after)
-            path.append(q)
-        errors = flow.space.difference(found.measured, torch.stack(path, 1))
+        # step by step, since several steps solved at once have no graph
+        path, *_ = Flow.advance_all(flow, found.start.q, flow.encode(*found.start), found.u)
+        errors = flow.space.difference(found.measured, path)
         values = (found.root * relative(errors, flow.sizes)).flatten(1)
         change = (values - values.detach()).unsqueeze(-1)
         return values.detach() + (change - _projected(by_start, change)).squeeze(-1)

@@ -9,7 +9,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.scaled import Scale
-from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.fields import MakesNetwork
@@ -61,10 +61,6 @@ class ResidualFlow(Flow):
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         state = self.space.retract(q, h * (v + drift)), v + h * kick
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
-
-    @override
-    def initial_velocity(self, windows: Windows) -> Tensor:
-        return windows.v
 
 
 class ResidualNetwork(DynamicsModel):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -200,22 +199,16 @@ def spread(
         most: Number of rollouts, at most: two for each direction, or samples.
     """
     twin = copy.deepcopy(flow)
-    total, count = torch.zeros_like(middle), 0
+    total = torch.zeros_like(middle)
     linear = 2 * posterior.directions.shape[1] <= most
-    for step in _steps(posterior, linear, most):
+    if linear:
+        steps = [step for way in posterior.informed().T for step in (way, -way)]
+    else:
+        drawn = posterior.samples(most, torch.Generator().manual_seed(SEED))
+        steps = [*(drawn - posterior.mean)]
+    for step in steps:
         share = min(1.0, SMALL / max(float(step.norm()), SMALL))
         path = place(twin, posterior.mean + share * step).rollout(q, v, u).q
-        total, count = total + ((path - middle) / share).square(), count + 1
-    total = total / 2.0 if linear else total / max(count, 1)
+        total = total + ((path - middle) / share).square()
+    total = total / (2.0 if linear else len(steps))
     return total.nan_to_num(torch.inf, torch.inf)
-
-
-def _steps(posterior: Posterior, linear: bool, count: int) -> Iterator[Tensor]:
-    """Yield each direction both ways, or samples of steps from the mean."""
-    if not linear:
-        drawn = posterior.samples(count, torch.Generator().manual_seed(SEED))
-        yield from drawn - posterior.mean
-        return
-    for direction in posterior.informed().T:
-        yield direction
-        yield -direction

@@ -44,7 +44,7 @@ class SeriesRecorder(lightning.Callback):
 
     @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        values = {name: float(value) for name, value in pl_module.epoch_metrics.items()}
+        values = dict(pl_module.epoch_metrics)
         if self._validated:
             values["val_loss"] = float(trainer.callback_metrics["val_loss"])
             self._validated = False
