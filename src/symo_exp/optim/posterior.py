@@ -140,21 +140,20 @@ def _settled(
     residuals: WindowResiduals, chain: Chain, weight: Float[Tensor, " d"], epsilon: float
 ) -> Float[Tensor, "nodes d"]:
     """Return the nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps."""
-    best, least = chain.x, torch.inf
-    x = chain.x
+    x, best, least = chain.x, chain.x, torch.inf
     for _ in range(ITERATIONS):
         r, _, by_x = chain.linearised(residuals, x, weight)
         moved = ((x - chain.x) / weight).square().sum()
         cost = float(moved + r.square().sum() / epsilon**2)
-        if not cost < least * (1.0 - 1e-9):
-            if not cost < least:
-                x = 0.5 * (x + best)
-                if ((x - best) / weight).abs().max() < 1e-9 * (1.0 + (best / weight).abs().max()):
-                    break
-                continue
-            best = x
-            break
+        if not cost < least:
+            x = 0.5 * (x + best)
+            if ((x - best) / weight).abs().max() < 1e-9 * (1.0 + (best / weight).abs().max()):
+                break
+            continue
+        settled = cost >= least * (1.0 - 1e-9)
         best, least = x, cost
+        if settled:
+            break
         e = r + chain.apply(by_x, (chain.x - x) / weight)
         factor = chain.factor(by_x, epsilon**2)
         if factor is None:

@@ -151,7 +151,6 @@ class Reduced(NamedTuple):
 
     e: Float[Tensor, "windows k"]
     """``r + J_x (y − x)``."""
-    by_theta: Float[Tensor, "windows k parameters"]
     by_x: tuple[Float[Tensor, "windows k d"], ...]
     factor: BandFactor | None
     """Of ``S``; ``None`` if the nodes are held."""
@@ -198,7 +197,7 @@ class NodesAndParameters(Descent):
         straight = -solved(factor, slope)
         bend = self._bend(at, straight)
         pull = bend if at.factor is None else at.factor.solve(bend)
-        correction = -solved(factor, at.by_theta.flatten(0, 1).T @ pull.flatten())
+        correction = -solved(factor, self._by_theta.flatten(0, 1).T @ pull.flatten())
         predicted = float(-(slope @ straight) + damping @ straight.square())
 
         def length(step: Tensor) -> Tensor:
@@ -244,14 +243,13 @@ class NodesAndParameters(Descent):
     def _nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
         """Return ``y − J_xᵀ S⁻¹ e``."""
         if at.factor is None:
-            held: Tensor = self._memory["nodes"]
-            return held
+            return self.x
         moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
         return at.target - self._objective.weight * moved
 
     def _bend(self, at: Reduced, delta: Tensor) -> Float[Tensor, "windows k"]:
         """Return ``½ r''`` along a step of the parameters and the nodes that follow it."""
-        linear = at.by_theta @ delta
+        linear = self._by_theta @ delta
         way = self._nodes(at, at.e + linear) - self.x
         linear = linear + self._chain.apply(at.by_x, way / self._objective.weight)
         self._owner.place(self.theta + PROBE * delta)
@@ -270,7 +268,7 @@ class NodesAndParameters(Descent):
                 return None
             white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
         gram, gradient = white.T @ white, white.T @ white_e
-        return Reduced(e, by_theta, self._by_x, factor, target, weight, gram, gradient)
+        return Reduced(e, self._by_x, factor, target, weight, gram, gradient)
 
     def _factored(
         self, x: Tensor, r: Tensor, by_x: tuple[Tensor, ...], target: Tensor, weight: float
@@ -286,7 +284,7 @@ class NodesAndParameters(Descent):
 
         The better of two steps of the nodes and of the first one alone, which is surely downhill.
         """
-        e = at.e + at.by_theta @ move.step
+        e = at.e + self._by_theta @ move.step
         x = self._nodes(at, e if move.bend is None else e + move.bend)
         if at.factor is None:
             return x, self._objective.residuals(x)
