@@ -123,12 +123,13 @@ def turning_body(names: Sequence[str], body: Float[Tensor, "4 4"]) -> list[Joint
         link(name, 0.0, axis=axis, slides=True, parent=i - 1)
         for i, (name, axis) in enumerate(zip(lengths, one, strict=False))
     ]
-    ball = link(turn, float(mass), _vector(centre), axis=one[2], parent=len(lengths) - 1)
-    x, y, z = map(_vector, inertia)
+    ball = link(turn, float(mass), vector(centre), axis=one[2], parent=len(lengths) - 1)
+    x, y, z = map(vector, inertia)
     return [*joints, ball._replace(inertia=(x, y, z), axes=one, base=one)]
 
 
-def _vector(x: Float[Tensor, " 3"]) -> Vector:
+def vector(x: Float[Tensor, " 3"]) -> Vector:
+    """Return three numbers without their tensor."""
     a, b, c = x.tolist()
     return a, b, c
 

@@ -20,7 +20,7 @@ from typing_extensions import Self, override
 
 from symo_exp.checks import real
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint, turning_body
+from symo_exp.mechanics.bodies import Joint, turning_body, vector
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
@@ -77,9 +77,8 @@ class Linkage(NamedTuple):
             gravity: Acceleration of gravity [m/s^2].
         """
         joints = turning_body((*coordinates.flat, *coordinates.rotations), body)
-        x, y, z = gravity.tolist()
         free = [(0, len(joints) - 1)] if len(joints) > 1 else []
-        return Linkage(joints, (x, y, z), torch.eye(coordinates.n).double(), free)
+        return Linkage(joints, vector(gravity), torch.eye(coordinates.n).double(), free)
 
 
 @dataclass(frozen=True, kw_only=True)

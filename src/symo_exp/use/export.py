@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib.util
+import io
 import logging
 import os
 import warnings
@@ -17,7 +18,7 @@ from symo_exp.checks import path_text, whole_number
 from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError, shortened
-from symo_exp.files import write_whole
+from symo_exp.files import write_bytes, write_whole
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
@@ -150,29 +151,27 @@ def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
         f"{ARGUMENTS} -> {RESULTS}; a row for each state, a single state is a batch of one; "
         f"columns of q: {stored}; of v: {names}; time step {model.time_step} s\n"
     )
+    file = io.BytesIO()
     with warnings.catch_warnings():
         # of buffers that are views of one tensor, each of which is written as it is
         warnings.filterwarnings("ignore", "No complete tensor found", UserWarning)
-        write_whole(path, lambda new: _save(program, new, about))
-
-
-def _save(program: Any, path: Path, about: str) -> None:
-    with path.open("wb") as file:  # a name would have to end in .pt2
         torch.export.save(program, file, extra_files={"symo_exp.txt": about})
+    write_bytes(path, file.getvalue())
 
 
 def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
     if any("solve" in str(node.target) for node in program.graph.nodes):
         raise ConfigError("ONNX cannot solve linear equations, as this step does; .pt2 can")
+
+    def save(new: Path) -> None:
+        torch.onnx.export(
+            program, f=new, dynamo=True, verbose=False,
+            external_data=False,  # weights in the file too
+            input_names=ARGUMENTS, output_names=RESULTS,
+            dynamic_shapes=({0: BATCH},) * len(ARGUMENTS),  # else the name that the graph gives it
+        )  # fmt: skip
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        write_whole(path, lambda new: _save_onnx(program, new))
-
-
-def _save_onnx(program: Any, path: Path) -> None:
-    torch.onnx.export(
-        program, f=path, dynamo=True, verbose=False, external_data=False,  # weights in the file too
-        input_names=ARGUMENTS, output_names=RESULTS,
-        dynamic_shapes=({0: BATCH},) * len(ARGUMENTS),  # else the name that the graph gives it
-    )  # fmt: skip
+        write_whole(path, save)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint, of_pseudo_inertia
+from symo_exp.mechanics.bodies import Joint, Vector, of_pseudo_inertia, vector
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.nets.known import KnownLagrangian
@@ -43,16 +41,16 @@ def _(lagrangian: RigidChain, coordinates: Coordinates) -> Linkage:
                 name=name,
                 slides=not bool(lagrangian.turns[i]),
                 parent=i - 1,
-                axis=_three(axes[i] / axes[i].norm()),
-                anchor=_three(at),
+                axis=vector(axes[i] / axes[i].norm()),
+                anchor=vector(at),
                 reference=0.0,
                 mass=float(mass),
-                centre=_three(at + centre),
-                inertia=tuple(map(_three, inertia)),  # type: ignore[arg-type]
+                centre=vector(at + centre),
+                inertia=tuple(map(vector, inertia)),  # type: ignore[arg-type]
                 armature=float(lagrangian.rotors[i].square()),
             )
         )
-    return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(joints)).double())
+    return Linkage(joints, vector(lagrangian.gravity), torch.eye(len(joints)).double())
 
 
 linkage.register(PlanarLinks, planar_bodies)
@@ -105,11 +103,6 @@ def in_si(found: Linkage, units: Units) -> Linkage:
     return found._replace(joints=[scaled(joint) for joint in found.joints], gravity=gravity)
 
 
-def _times(factor: float, values: Sequence[float]) -> tuple[float, float, float]:
+def _times(factor: float, values: Vector) -> Vector:
     x, y, z = values
     return factor * x, factor * y, factor * z
-
-
-def _three(values: Tensor) -> tuple[float, float, float]:
-    x, y, z = values.double().tolist()
-    return x, y, z

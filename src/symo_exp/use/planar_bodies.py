@@ -18,7 +18,7 @@ from typing import NamedTuple
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint, Vector
+from symo_exp.mechanics.bodies import Vector, link
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.embedding import directions
 from symo_exp.nets.planar_links import PlanarLinks
@@ -78,20 +78,18 @@ def planar_bodies(links: PlanarLinks, coordinates: Coordinates) -> Linkage:
         centre = (moments[k] - beyond * vectors[k]) / mass
         about = learned.inertias[k] - beyond * abs(vectors[k]) ** 2 - mass * abs(centre) ** 2
         slides = k < learned.slides
-        joints.append(
-            Joint(
-                name=name,
-                slides=slides,
-                parent=k - 1,
-                axis=(1.0, 0.0, 0.0) if slides else (0.0, -1.0, 0.0),
-                anchor=_in_space(at),
-                reference=0.0,
-                mass=mass,
-                centre=_in_space(at + centre),
-                inertia=_round(mass if slides else about),
-                armature=learned.rotors[k],
-            )
+        moment = mass if slides else about  # the same about all axes: a plane asks for no more
+        joint = link(
+            name,
+            mass,
+            _in_space(at + centre),
+            (moment, moment, moment),
+            anchor=_in_space(at),
+            axis=(1.0, 0.0, 0.0) if slides else (0.0, -1.0, 0.0),
+            parent=k - 1,
+            slides=slides,
         )
+        joints.append(joint._replace(armature=learned.rotors[k]))
         at += vectors[k]
     matrix = torch.linalg.inv(directions(coordinates.angular).double()) @ links.turn.double()
     return Linkage(joints, _in_space(gravity), matrix)
@@ -210,11 +208,6 @@ def _carried(learned: _Learned, moments: list[complex], vectors: list[complex]) 
             chosen = beyond + (0.5 * (most - beyond) if math.isfinite(most) else own)
         found.insert(0, chosen)
     return learned.inertias[: learned.slides] + found
-
-
-def _round(inertia: float) -> tuple[Vector, Vector, Vector]:
-    """Return an inertia that is the same about all axes; one in a plane asks for no more."""
-    return (inertia, 0.0, 0.0), (0.0, inertia, 0.0), (0.0, 0.0, inertia)
 
 
 def _in_space(x: complex) -> Vector:
