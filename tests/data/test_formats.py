@@ -212,6 +212,7 @@ WITH_SETTINGS: dict[str, tuple[Writer, dict]] = {
         csv("x.csv", lambda t: t.assign(t=1e3 * t.t).rename(columns={"t": "Zeit [ms]"})),
         {"columns": {"t": "Zeit [ms]"}},
     ),
+    "no times": (csv("x.csv", lambda t: t.drop(columns="t")), {"sample_time": H / 2}),
     "degrees": (csv("x.csv", lambda t: t.assign(q_0=np.degrees(t.q_0))), {"degrees": True}),
     "other names": (
         csv("x.csv", lambda t: t.rename(columns={"q_0": "angle"})),
@@ -235,6 +236,22 @@ def test_every_format_gives_the_same_motion(kind: str, tmp_path: Path) -> None:
     expected, found = load(tmp_path / "plain.parquet"), load(writer(tmp_path), **settings)
     for a, b in zip(found.train, expected.train, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-7)
+
+
+def test_rows_without_times_are_a_sample_time_apart_in_each_trajectory(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    table = motion().assign(run=["a", "b"] * (len(motion()) // 2))
+    table.to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="has times; leave it out"):
+        read_recordings(path, DRIVEN, sample_time=H)
+    table.drop(columns="t").to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="or give data\\.sample_time=SECONDS"):
+        read_recordings(path, DRIVEN)
+    with pytest.raises(ConfigError, match="sample_time=0"):
+        read_recordings(path, DRIVEN, sample_time=0.0)
+    first, second = read_recordings(path, DRIVEN, sample_time=H).recordings
+    np.testing.assert_allclose(first.samples.t, table.t[::2], atol=1e-12)
+    np.testing.assert_allclose(second.samples.t, table.t[::2], atol=1e-12)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

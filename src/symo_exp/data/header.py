@@ -64,15 +64,20 @@ def header(path: Location, columns: Columns | None = None) -> list[str]:
     Raises:
         ConfigError: If a file cannot be read or has no coordinates.
     """
-    return list(headers(path, columns)[0][1].names)
+    return list(headers(path, columns, timed=False)[0][1].names)
 
 
-def headers(path: Location, columns: Columns | None) -> list[tuple[Path, Header]]:
-    """Return every file of a path with its columns; all have the same coordinates and inputs."""
+def headers(
+    path: Location, columns: Columns | None, *, timed: bool = True
+) -> list[tuple[Path, Header]]:
+    """Return every file of a path with its columns; all have the same coordinates and inputs.
+
+    Without times they are refused if they have to be ``timed``.
+    """
     every = files(path)
     if twice := [file for file in every if every.count(file) > 1]:
         raise ConfigError(f"{shown(path)}: {twice[0]} is there twice; name each file once")
-    found = [(file, header_of(path, file, columns)) for file in every]
+    found = [(file, header_of(path, file, columns, timed)) for file in every]
     kinds = [{name for name in one.names if name[:2] in ("q_", "v_", "u_")} for _, one in found]
     for (file, _), here in zip(found[1:], kinds[1:], strict=True):
         if here != kinds[0]:
@@ -83,7 +88,7 @@ def headers(path: Location, columns: Columns | None) -> list[tuple[Path, Header]
     return found
 
 
-def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
+def header_of(path: Location, file: Path, columns: Columns | None, timed: bool) -> Header:
     """Return the columns of one file; ``path`` is what the user gave."""
     where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
     with readable(file):
@@ -91,7 +96,7 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
         dialect = Dialect.of(file).notes if suffix(file) in TEXT else []
     _check_names(where, found)
     new, unit, notes = renamed(where, found, columns)
-    if not names("q", new) or "t" not in new:
+    if not names("q", new) or (timed and "t" not in new):
         other = "" if where == shown(path) else ", or name the other files only, by data.path"
         raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
     given = dict(columns or {})
@@ -131,6 +136,8 @@ def _lacking(
     speeds = [name for name in found if name[:2] == "v_" or kind_of_column(name) == "v"]
     if speeds and not names("q", new):
         other = f", as the integral of a velocity ({few(speeds)}) over time{other}"
+    elif names("q", new):
+        other = f", or give data.sample_time=SECONDS, the time from a row to the next{other}"
     mend = suggestion(found, new, table, columns) or f"add it to the file{other}"
     return f"no column {lacking}; it has {few(found)}; {mend}"
 

@@ -110,6 +110,7 @@ class RecordedData(DataModule):
         degrees: Whether angles and their velocities are in degrees.
         time_unit: ``d``, ``h``, ``min``, ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's
             name or values say (``t_ms``), else seconds.
+        sample_time: Time from a row to the next [s], for tables without times.
         train: Names of the training trajectories. ``None``: the column ``split`` says.
         val: Those for validation.
         test: Those for testing.
@@ -147,6 +148,7 @@ class RecordedData(DataModule):
         wrapped: bool = False,
         degrees: bool = False,
         time_unit: str | None = None,
+        sample_time: float | None = None,
         train: Sequence[str | int] | None = None,
         val: Sequence[str | int] | None = None,
         test: Sequence[str | int] | None = None,
@@ -165,7 +167,7 @@ class RecordedData(DataModule):
     ) -> None:
         whole_number("data.n_integration", n_integration)
         where, coordinates, h = shown(path), system.coordinates, system.time_step
-        table = read_recordings(path, system, columns, time_unit)
+        table = read_recordings(path, system, columns, time_unit, sample_time)
         recordings: Sequence[Recording] = acting_as_given(table.recordings, input_delay, input_lag)
         refuse_counts(where, coordinates, recordings, degrees)
         recordings = continuous(recordings, coordinates, degrees=degrees, wrapped=wrapped)

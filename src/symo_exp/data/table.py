@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from symo_exp.checks import one_of
+from symo_exp.checks import one_of, real
 from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
 from symo_exp.data.formats import readable, table_of
 from symo_exp.data.header import KINDS, UNITS, Header, headers
@@ -31,6 +31,7 @@ from symo_exp.data.trajectories import (
     check_jumps,
     check_order,
     numbered_by_clock,
+    numbers_of_rows,
     refuse_wraps,
     split_at_leaps,
 )
@@ -79,6 +80,7 @@ def read_recordings(
     system: System,
     columns: Columns | None = None,
     time_unit: str | None = None,
+    sample_time: float | None = None,
 ) -> RecordingTable:
     """Return the trajectories of a path, their times rising, in seconds.
 
@@ -92,13 +94,16 @@ def read_recordings(
             a name leaves the column out.
         time_unit: ``d``, ``h``, ``min``, ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of
             the column's name or of its values.
+        sample_time: Time from a row to the next [s], for files without times.
 
     Raises:
         ConfigError: If a file cannot be read or is not sound.
     """
     if time_unit is not None:
         one_of("data.time_unit", time_unit, tuple(UNITS))
-    found = headers(path, columns)
+    if sample_time is not None:
+        real("data.sample_time", sample_time, above=0)
+    found = headers(path, columns, timed=sample_time is None)
     recordings: list[Recording] = []
     notes: list[str] = []
     labels = _labels([file for file, _ in found])
@@ -108,7 +113,9 @@ def read_recordings(
         seconds = head.seconds if time_unit is None else UNITS[time_unit]
         where = shown(path if len(found) == 1 else file)
         inputs = tuple(system.inputs)
-        one = _read(where, file, version, head, seconds, system.coordinates, inputs)
+        if sample_time is not None and "t" in head.names:
+            raise ConfigError(f"data.sample_time={sample_time:g}: {where} has times; leave it out")
+        one = _read(where, file, version, head, seconds, sample_time, system.coordinates, inputs)
         notes += [*head.notes, *one.notes]
         for each in one.recordings:
             name = label if len(one.recordings) == 1 else f"{label}/{each.label}"
@@ -147,7 +154,7 @@ def _labels(files: Sequence[Path]) -> list[str]:
 @lru_cache(maxsize=64)  # shared by the jobs of a sweep
 def _read(
     where: str, file: Path, version: int, head: Header, seconds: float | None,
-    coordinates: Coordinates, inputs: tuple[str, ...],
+    sample_time: float | None, coordinates: Coordinates, inputs: tuple[str, ...],
 ) -> RecordingTable:  # fmt: skip
     wanted = _wanted(where, head, coordinates, inputs)
     numbers = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
@@ -158,6 +165,8 @@ def _read(
         if table[column].dtype == object:  # Parquet may have lists
             table[column] = table[column].map(str, na_action="ignore")
     notes: list[str] = []
+    if sample_time is not None:
+        table["t"], seconds = sample_time * numbers_of_rows(table), 1.0
     table["t"], seconds = from_dates(where, table["t"], seconds, notes)
     for column in numbers:
         table[column] = as_numbers(where, column, table[column])
@@ -204,7 +213,7 @@ def _wanted(
     for kind in "vu":
         if not set(wanted[kind]) & set(found):
             wanted[kind] = []
-    columns = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
+    columns = [*wanted["q"], *wanted["v"], *wanted["u"]]
     if missing := [column for column in columns if column not in found]:
         mapping = {column: column[2:] if column[2:] in found else "NAME" for column in missing}
         raise ConfigError(

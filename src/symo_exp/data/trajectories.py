@@ -31,6 +31,13 @@ def by_trajectory(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     return list(table.groupby(names, sort=False))
 
 
+def numbers_of_rows(table: pd.DataFrame) -> np.ndarray:
+    """Return the number of each row in its trajectory, the first being 0."""
+    if "trajectory" not in table:
+        return np.arange(len(table))
+    return table.groupby("trajectory", sort=False, dropna=False).cumcount().to_numpy()
+
+
 def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     """Return a table in which recordings are numbered where the clock starts anew.
 

@@ -279,7 +279,8 @@ class _Examination:
         """The whole table, whose inputs act as they are given."""
         everything = [[1.0] * len(self.inputs) for _ in self._alone("none").coordinates.names]
         system = self._system("none", everything)  # to read them, it does not matter
-        found = read_recordings(self.data["path"], system, self.columns, self.data.get("time_unit"))
+        how = (self.data.get(name) for name in ("columns", "time_unit", "sample_time"))
+        found = read_recordings(self.data["path"], system, *how)
         acting = (self.data.get(name) for name in ACTING)
         return found._replace(recordings=tuple(acting_as_given(found.recordings, *acting)))
 

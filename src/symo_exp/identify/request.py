@@ -16,8 +16,8 @@ from symo_exp.systems.base import System
 from symo_exp.systems.recorded import scale_of
 
 FILES = [
-    "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
-    "leave_out", "input_delay", "input_lag",
+    "path", "columns", "wrapped", "degrees", "time_unit", "sample_time", "train", "val", "test",
+    "n_val", "n_test", "leave_out", "input_delay", "input_lag",
 ]  # fmt: skip
 """Settings of data that say where recordings are and how they are read."""
 INFERRED = {"wrapped", "degrees", "input_delay", "input_lag"}

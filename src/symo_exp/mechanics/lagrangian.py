@@ -153,11 +153,11 @@ class Lagrangian(ABC):
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         """Return ``∂ℒ/∂q`` and ``∂ℒ/∂v``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
-        *_, found = self._around(q, v, tracked)
+        *_, found = self.around(q, v, tracked)
         return found if tracked else Gradients(*(x.detach() for x in found))
 
     @torch.enable_grad()
-    def _around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Gradients]:
+    def around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Gradients]:
         """Return ``q`` as a leaf, ``H`` and the gradients; the graph of ``H v`` is kept."""
         q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
         mass, potential = self.terms(q_)

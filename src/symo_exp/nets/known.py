@@ -117,7 +117,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         if self._closed_form:
             return Rates(*self._by_system(lambda at, q, v: at.rates(q, v), q, v))
         tracked = torch.is_grad_enabled()
-        q_, mass, (dq, p) = self._around(q, v, tracked)
+        q_, mass, (dq, p) = self.around(q, v, tracked)
         with torch.enable_grad():
             moved = self.space.push(q_, v).unsqueeze(1)
             turned = (jacobian(p, q_, tracked=tracked) * moved).sum(-1)
