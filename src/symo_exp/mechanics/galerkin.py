@@ -212,8 +212,15 @@ class InnerPoint(Rowwise):
         return _row(self.expansion.stationarity)
 
     def jacobian(self) -> Tensor:
-        """Return the part of the inertia in ``W_cc`` and that of friction."""
-        return self.expansion.inner_mass()
+        """Return the part of the inertia in ``W_cc`` and that of friction.
+
+        Friction is the larger one where a motion comes to rest.
+        """
+        at, basis = self.expansion.at, self.expansion.basis
+        w = basis.inertia(at.mass(), self.expansion.h)
+        if at.dissipates:
+            w = w + basis.damping(at.damping())
+        return block_matrix(w[1:-1, 1:-1])
 
     def exact_step(self) -> Float[Tensor, "batch inner*n"]:
         """Return the step of Newton's method with all of ``W_cc``."""
@@ -280,11 +287,15 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     def judge(
         self, active: Tensor, at: InnerPoint, there: InnerPoint, state: Inner
     ) -> tuple[Tensor, Inner]:
-        after, before = (x.expansion.imbalance(self._sizes) for x in (there, at))
+        after, before = (
+            as_actions(x.expansion.stationarity, self._sizes).abs().amax((0, -1))
+            for x in (there, at)
+        )
         better = after <= before
         accepted = better & (better & active).any()
         if self.retries(at):
-            less = (0.25 if at.expansion.dissipates else 0.0) * state.share
+            # friction varies within a step, so that updates may go too far
+            less = (0.25 if at.expansion.at.dissipates else 0.0) * state.share
             if self._exact:  # first the exact step, then less of both
                 less = torch.where(state.exact.unsqueeze(-1), less, state.share)
                 slow = active & ~(after <= SLOW * before)
@@ -295,7 +306,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
     @override
     def retries(self, at: InnerPoint) -> bool:
-        return at.expansion.dissipates or self._exact
+        return at.expansion.at.dissipates or self._exact
 
 
 class Basis:
@@ -467,25 +478,6 @@ class GalerkinExpansion(CondensedExpansion):
         """Return the discrete Lagrangian of an interval at inner coefficients ``c``."""
         pull = torch.zeros_like(c) if forces is None else basis.impulses(forces, h)[1:-1]
         return GalerkinExpansion(basis, lagrangian.expand(*basis.path(q0, q1, c, h)), c, pull, h)
-
-    def inner_mass(self) -> Float[Tensor, "batch inner*n inner*n"]:
-        """Return the part of the inertia in ``W_cc`` and that of friction.
-
-        Friction is the larger one where a motion comes to rest.
-        """
-        w = self.basis.inertia(self.at.mass(), self.h)
-        if self.dissipates:
-            w = w + self.basis.damping(self.at.damping())
-        return block_matrix(w[1:-1, 1:-1])
-
-    @property
-    def dissipates(self) -> bool:
-        """True if there is friction, which varies within a step: updates may go too far."""
-        return self.at.dissipates
-
-    def imbalance(self, sizes: Sizes) -> Float[Tensor, " batch"]:
-        """Return the largest entry of ``stationarity`` of a row, in the units of coordinates."""
-        return as_actions(self.stationarity, sizes).abs().amax((0, -1))
 
     @override
     def by_unknowns(self) -> Tensor:
