@@ -87,7 +87,7 @@ class Geodesic(Galerkin):
     ) -> GeodesicExpansion:
         chart, x = self._chart(lagrangian, q0, forces), self.space.chart(q0, q1)
         at = super().expand(chart, self.space.origin(q0), x, h)
-        return GeodesicExpansion(self.space, at, x)
+        return GeodesicExpansion(at, x)
 
     @override
     @torch.no_grad()
@@ -96,7 +96,7 @@ class Geodesic(Galerkin):
     ) -> GeodesicExpansion:
         chart, origin = self._chart(lagrangian, q0, forces), self.space.origin(q0)
         at = super().expand_at(chart, origin, x, h)
-        return GeodesicExpansion(self.space, at, x[:, : origin.shape[1]])
+        return GeodesicExpansion(at, x[:, : origin.shape[1]])
 
     @override
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
@@ -117,18 +117,15 @@ class GeodesicExpansion(CondensedExpansion):
     """The discrete Lagrangian around ``(q₀, q₁)``, in body axes of these.
 
     Args:
-        space: The space.
         at: The discrete Lagrangian of ``ℓ``.
         x: ``q₁`` in the chart at ``q₀``.
     """
 
-    def __init__(self, space: Space, at: GalerkinExpansion, x: Float[Tensor, "batch n"]) -> None:
-        self._space, self._at, self._x = space, at, x
+    def __init__(self, at: GalerkinExpansion, x: Float[Tensor, "batch n"]) -> None:
         assert isinstance(at.at, ChartExpansion)
-        self._points = at.at
-        last = at.values.d2
-        self._ends = Ends.of(space, x)
-        self.values = self._ends.slots(last, at.basis.total(self._points.turned, at.h))
+        self._at, self._points, self._x = at, at.at, x
+        self._ends = Ends.of(self._points.space, x)
+        self.values = self._ends.slots(at.values.d2, at.basis.total(self._points.turned, at.h))
         self.stationarity, self.found = at.stationarity, at.found
 
     @override
@@ -138,11 +135,11 @@ class GeodesicExpansion(CondensedExpansion):
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         known = not (q0.requires_grad or q1.requires_grad)
-        return self.slots_at(q0, self._x if known else self._space.chart(q0, q1), forces)
+        return self.slots_at(q0, self._x if known else self._points.space.chart(q0, q1), forces)
 
     @override
     def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> Slots:
-        at, space = self._at, self._space
+        at, space = self._at, self._points.space
         basis, inner = at.basis, at.inner
         path = basis.path(space.origin(q0), x, inner, at.h)
         torques = self._points.torques(*at_points(basis, q0, forces), *path)
@@ -153,14 +150,14 @@ class GeodesicExpansion(CondensedExpansion):
 
     @override
     def rows(self, index: Tensor) -> GeodesicExpansion:
-        rows = GeodesicExpansion(self._space, self._at.rows(index), self._x[index])
+        rows = GeodesicExpansion(self._at.rows(index), self._x[index])
         rows._condensed = take_rows(self._condensed, index)
         return rows
 
     @override
     def replace(self, index: Tensor, other: GeodesicExpansion) -> GeodesicExpansion:
         at = self._at.replace(index, other._at)
-        return GeodesicExpansion(self._space, at, self._x.index_copy(0, index, other._x))
+        return GeodesicExpansion(at, self._x.index_copy(0, index, other._x))
 
     @override
     def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
@@ -171,7 +168,7 @@ class GeodesicExpansion(CondensedExpansion):
         slopes, total = at.basis.slopes(turned.gradients, at.h), at.basis.total(turned.turned, at.h)
         first, final = total - ends.inverse @ slopes[-1], ends.inverse.mT @ slopes[-1]
         by_turn = torch.cat((first.unsqueeze(0), slopes[1:-1], final.unsqueeze(0))).unsqueeze(1)
-        w, turns = self._in_chart(found), self._space.turns(self._x)
+        w, turns = self._in_chart(found), ends.space.turns(self._x)
         # at a fixed end a turn of the start moves the end's coordinates, too
         start = w[:, :1] * ~turns + by_turn - w[:, -1:] @ (ends.inverse.mT * turns)
         return torch.cat((start, w[:, 1:-1], w[:, -1:] @ ends.inverse), dim=1)
