@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -34,10 +35,7 @@ class Units(NamedTuple):
 
     def size(self, unit: str) -> float:
         """Return the unit of the same quantity, in an SI unit such as ``kg m^2`` or ``N s/m``."""
-        found = 1.0
-        for size, power in zip(self, powers_in(unit), strict=True):
-            found *= size ** float(power)
-        return found
+        return math.prod(x ** float(power) for x, power in zip(self, powers_in(unit), strict=True))
 
 
 SI = Units()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor
 
 from symo_exp.mechanics.types import Stretches, Trajectory, Windows
 
@@ -33,14 +32,9 @@ def cut_stretches(trajectories: Sequence[Trajectory], steps: int, stride: int) -
     """
     long = [one for one in trajectories if len(one.q) > steps]
     first = trajectories[0]
-    q, u = (
-        torch.cat([x.new_empty(0, steps + 1, x.shape[1]), *(_cut_at(y, steps, stride) for y in of)])
-        for x, of in ((first.q, [one.q for one in long]), (first.u, [one.u for one in long]))
-    )
+    none = [x.new_empty(0, steps + 1, x.shape[1]) for x in (first.q, first.u)]
+    each = [[x.unfold(0, steps + 1, stride).mT for x in (one.q, one.u)] for one in long]
+    q, u = (torch.cat(parts) for parts in zip(none, *each, strict=True))
     n = first.v.shape[1]
     unknown, ones = q.new_full((len(q), 2 * n), torch.nan), q.new_ones(*q.shape[:2], n)
     return Stretches(q, u, unknown, ones)
-
-
-def _cut_at(x: Tensor, steps: int, stride: int) -> Tensor:
-    return x.unfold(0, steps + 1, stride).mT
