@@ -158,11 +158,9 @@ def _(module: StructuredLagrangian, coordinates: Coordinates) -> list[Reading]:
     angular = torch.tensor(coordinates.angular)
     count, names = int(angular.sum()), coordinates.names
     grid = torch.linspace(0.0, 2.0 * torch.pi, POINTS + 1, dtype=torch.float64)[:-1]
-    phi = (
-        torch.cartesian_prod(*[grid] * count).reshape(-1, count) if count else grid[:1, None][:, :0]
-    )
-    directions = torch.zeros(len(phi), coordinates.n, dtype=torch.float64)
-    directions[:, angular] = phi
+    directions = torch.zeros(POINTS**count, coordinates.n, dtype=torch.float64)
+    if count:
+        directions[:, angular] = torch.cartesian_prod(*[grid] * count).view(-1, count)
     turn = module.embedding.turn
     place = module.net.biases[-1]
     inverse = torch.linalg.inv((torch.eye(coordinates.n) if turn is None else turn).double())
@@ -177,10 +175,8 @@ def _(module: StructuredLagrangian, coordinates: Coordinates) -> list[Reading]:
         )
         for j in range(i):
             unit = _inertia(angular[i], angular[j])
-            apart = directions[:, i] * angular[i] - directions[:, j] * angular[j]
-            both = bool(angular[i] or angular[j])
-            wave = 2.0 * apart.cos() if both else torch.ones_like(apart)
-            value = (mass[:, i, j] * wave).mean()
+            wave = (directions[:, i] - directions[:, j]).cos()
+            value = (mass[:, i, j] * wave).mean() * (2.0 if angular[i] or angular[j] else 1.0)
             found.append(Reading(f"{name}.inertia.{names[j]}", unit, value))
         if angular[i]:
             parts = [2.0 * (potential * f(directions[:, i])).mean() for f in (torch.cos, torch.sin)]
