@@ -10,6 +10,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import matvec
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
+from symo_exp.nets.embedding import require_flat
 
 
 class LearnedInputs(nn.Module):
@@ -34,11 +35,8 @@ class LearnedInputs(nn.Module):
 
     def __init__(self, given: Float[Tensor, "n m"], coordinates: Coordinates) -> None:
         super().__init__()
-        if coordinates.rotations:
-            raise ConfigError(
-                "model.inputs=learned is for lengths and angles; a rigid body has "
-                "lagrangian.learned_inputs"
-            )
+        instead = "lagrangian=rigid_body, which has lagrangian.learned_inputs"
+        require_flat(coordinates, "model.inputs=learned", instead)
         if given.numel() < 2:
             raise ConfigError(
                 f"model.inputs=learned needs two entries of the input matrix or more, and it has "
