@@ -219,7 +219,6 @@ class MachineFriction(LearnedDissipation):
     ) -> None:
         super().__init__(
             coordinates=coordinates,
-            viscous=True,
             coulomb=True,
             width=width,
             joints=joints,
