@@ -186,6 +186,7 @@ def test_maps_of_a_space_belong_together(space: Space, n: int) -> None:
     torch.testing.assert_close(space.normalised(after + 1e-9), after, rtol=0, atol=1e-8)
     rate = torch.func.jvp(lambda s: space.retract(q, s), (torch.zeros_like(step),), (step,))[1]
     torch.testing.assert_close(space.push(q, step), rate)
+    torch.testing.assert_close(space.velocity(q, rate), step)
     gradient = drawn(q.shape[1], seed=2)
     torch.testing.assert_close(
         (space.pull(q, gradient) * step).sum(1), (gradient * rate).sum(1)
@@ -225,9 +226,7 @@ def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int
         phi, rate = basis.path(space.origin(a), space.chart(a, b), inner, H)
         place = space.point(a.repeat(stages, 1), phi)
         moved = torch.func.jvp(lambda x: space.point(a.repeat(stages, 1), x), (phi,), (rate,))[1]
-        v = 0.5 * space.pull(place, moved)  # of Ṙ = R [ω] it is 2 ω
-        flat = lagrangian.space.rotations * 3
-        v = torch.cat((2.0 * v[:, : v.shape[1] - flat], v[:, v.shape[1] - flat :]), dim=1)
+        v = space.velocity(place, moved)
         value = lagrangian.kinetic(place, v) - lagrangian.potential(place)
         return basis.total(value.unsqueeze(1), H)[:, 0]
 

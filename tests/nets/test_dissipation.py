@@ -10,7 +10,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.space import Space
+from symo_exp.mechanics.space import exponential
 from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.objectives import PreconditionedResidual
@@ -160,11 +160,7 @@ def test_the_drag_of_a_body_takes_energy_and_turns_with_the_world(coordinates):
     force = drag.force(q, v)
     assert bool(((force * v).sum(1) < 0.0).all())
     assert not bool(drag.force(q, torch.zeros_like(v)).any())
-    turn = (
-        Space(rotations=1)
-        .of_vector(torch.tensor([[0.3, -0.8, 0.5]], dtype=torch.float64))
-        .view(3, 3)
-    )
+    turn = exponential(torch.tensor([0.3, -0.8, 0.5], dtype=torch.float64))
     turned_q, turned_v, turned_force = q.clone(), v.clone(), force.clone()
     turned_q[:, -9:] = (turn @ q[:, -9:].view(-1, 3, 3)).flatten(1)
     for x in (turned_v, turned_force):
