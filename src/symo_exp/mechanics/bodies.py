@@ -305,7 +305,7 @@ POINT = 1e-12
 
 
 def pseudo_inertia(
-    mass: Tensor, centre: Float[Tensor, 3], inertia: Float[Tensor, "3 3"], lever: float = 0.0
+    mass: Tensor, centre: Float[Tensor, 3], inertia: Float[Tensor, "3 3"], lever: float
 ) -> Float[Tensor, "4 4"]:
     """Return the pseudo-inertia of a rigid body (Wensing, Kim and Slotine 2018, equation 10).
 

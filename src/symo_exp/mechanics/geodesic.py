@@ -138,7 +138,7 @@ class GeodesicExpansion(CondensedExpansion):
         return self.slots_at(q0, self._x if known else self._points.space.chart(q0, q1), forces)
 
     @override
-    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> Slots:
+    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None) -> Slots:
         at, space = self._at, self._points.space
         basis, inner = at.basis, at.inner
         path = basis.path(space.origin(q0), x, inner, at.h)

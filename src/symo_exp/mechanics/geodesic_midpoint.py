@@ -153,7 +153,7 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         return self.slots_at(q0, self.x if known else self.space.chart(q0, q1), forces)
 
     @override
-    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> Slots:
+    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None) -> Slots:
         known = not (q0.requires_grad or x.requires_grad)
         middle = self.middle if known else _Middle.of(self.space, q0, x, self.h)
         return middle.slots(self.controlled, forces, self.at)

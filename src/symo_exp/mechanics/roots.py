@@ -462,7 +462,7 @@ def attach_root(
     return x.detach() - solve(jacobian.detach(), residual)
 
 
-def rounding(x: Float[Tensor, "*batch k"], sizes: Sizes = None) -> Float[Tensor, "*batch k"]:
+def rounding(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
     """Return a bound on the effect of a few roundings of ``x``, in numbers of its order or one."""
     size = x.abs().clamp(min=1.0) if sizes is None else x.abs().maximum(column_sizes(sizes, x))
     return 16.0 * torch.finfo(x.dtype).eps * size
@@ -473,12 +473,12 @@ def column_sizes(sizes: tuple[float, ...], like: Float[Tensor, "*batch k"]) -> F
     return like.new_tensor(sizes).repeat(like.shape[-1] // len(sizes))
 
 
-def row_norm(residual: Float[Tensor, "*batch n"], sizes: Sizes = None) -> Float[Tensor, " *batch"]:
+def row_norm(residual: Float[Tensor, "*batch n"], sizes: Sizes) -> Float[Tensor, " *batch"]:
     """Return ``‖g‖₂ / √n`` of each row."""
     return as_actions(residual, sizes).square().mean(-1).sqrt()
 
 
-def joint_norm(residual: Float[Tensor, "batch n"], sizes: Sizes = None) -> Float[Tensor, ""]:
+def joint_norm(residual: Float[Tensor, "batch n"], sizes: Sizes) -> Float[Tensor, ""]:
     """Return ``‖g‖_F / √(B n)`` of all rows together."""
     return as_actions(residual, sizes).square().mean().sqrt()
 

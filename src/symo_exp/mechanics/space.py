@@ -148,14 +148,9 @@ class ExponentialMap(NamedTuple):
 @cache
 def _table(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "terms coefficients"]:
     """Return the coefficients of the series, one in a column."""
-
-    def sign(k: int) -> float:
-        return -1.0 if k % 2 else 1.0
-
-    count = TERMS + 2
-    sinc = [sign(k) / math.factorial(2 * k + 1) for k in range(count)]
-    a = [sign(k) / math.factorial(2 * k + 2) for k in range(count)]
-    b = [sign(k) / math.factorial(2 * k + 3) for k in range(count)]
+    sinc, a, b = (
+        [(-1.0) ** k / math.factorial(2 * k + i) for k in range(TERMS + 2)] for i in (1, 2, 3)
+    )
 
     def slope(f: list[float]) -> list[float]:
         return [k * x for k, x in enumerate(f)][1:]

@@ -86,7 +86,7 @@ class DiscreteExpansion(Rowwise, ABC):
         self,
         q0: Float[Tensor, "batch N"],
         x: Float[Tensor, "batch n"],
-        forces: Forces | None = None,
+        forces: Forces | None,
     ) -> Slots:
         """Return ``slots`` given ``q₁`` in the chart at ``q₀``."""
         return self.slots(q0, x, forces)
@@ -258,15 +258,15 @@ class DiscreteLagrangian:
     lagrangian: Lagrangian
     h: float
 
-    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces) -> Slots:
         """Return ``D₁L_d`` and ``D₂L_d`` at ``(q₀, q₁)``, (batch, n) each."""
         return self.integrator.slots(self.lagrangian, q0, q1, self.h, forces)
 
-    def expand(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> DiscreteExpansion:
+    def expand(self, q0: Tensor, q1: Tensor, forces: Forces) -> DiscreteExpansion:
         """Return ``L_d`` around ``(q₀, q₁)``."""
         return self.integrator.expand(self.lagrangian, q0, q1, self.h, forces)
 
-    def expand_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> DiscreteExpansion:
+    def expand_at(self, q0: Tensor, x: Tensor, forces: Forces) -> DiscreteExpansion:
         """Return ``L_d`` around ``q₀`` and the unknowns ``x`` of a step."""
         return self.integrator.expand_at(self.lagrangian, q0, x, self.h, forces)
 
@@ -316,7 +316,7 @@ class DiscreteLagrangian:
         q: Tensor,
         impulse: Tensor,
         guess: Tensor,
-        forces: Forces | None = None,
+        forces: Forces,
     ) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
         """Solve ``p⁻(q_k, q_{k+1}) = p_k`` for ``q_{k+1}``.
 
@@ -371,9 +371,9 @@ class MomentumMatching(Rowwise):
         discrete: DiscreteLagrangian,
         q0: Float[Tensor, "batch n"],
         impulse: Float[Tensor, "batch n"],
-        forces: Forces | None = None,
+        forces: Forces,
     ) -> None:
-        self._discrete, self._forces = discrete, forces and forces.detached()
+        self._discrete, self._forces = discrete, forces.detached()
         self._q0, self._impulse = q0.detach(), impulse.detach()
 
     def start(self, guess: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
@@ -415,7 +415,7 @@ def differentiable_root(
     q: Float[Tensor, "batch N"],
     impulse: Float[Tensor, "batch n"],
     space: Space,
-    forces: Forces | None = None,
+    forces: Forces,
 ) -> Float[Tensor, "batch N"]:
     """Return ``q_{k+1}`` at the root ``x``, in the chart at ``q_k``, with its implicit derivatives.
 
