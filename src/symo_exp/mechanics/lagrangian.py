@@ -153,19 +153,8 @@ class Lagrangian(ABC):
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         """Return ``∂ℒ/∂q`` and ``∂ℒ/∂v``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
-        *_, found = self.around(q, v, tracked)
+        *_, found = differentiated(self, q, v, tracked=tracked)
         return found if tracked else Gradients(*(x.detach() for x in found))
-
-    @torch.enable_grad()
-    def around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Gradients]:
-        """Return ``q`` as a leaf, ``H`` and the gradients; the graph of ``H v`` is kept."""
-        q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-        mass, potential = self.terms(q_)
-        p = matvec(mass, v)
-        # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
-        total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
-        (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
-        return q_, mass, Gradients(self.space.pull(q_, dq), p)
 
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return the terms of the Euler-Lagrange equations (3.11), (3.12)."""
@@ -176,6 +165,27 @@ class Lagrangian(ABC):
     def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
         """Return ``ℒ`` around ``(q, v)``, as root finding needs it."""
         return AutodiffExpansion(self, q.detach(), v.detach())
+
+
+@torch.enable_grad()
+def differentiated(
+    lagrangian: Lagrangian,
+    q: Float[Tensor, "batch N"],
+    v: Float[Tensor, "batch n"],
+    *,
+    tracked: bool,
+) -> tuple[Float[Tensor, "batch N"], Float[Tensor, "batch n n"], Gradients]:
+    """Return ``q`` with a graph, ``H`` and the gradients, by automatic differentiation.
+
+    The gradients are differentiable if ``tracked``, and ``H`` always in the returned ``q``.
+    """
+    q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
+    mass, potential = lagrangian.terms(q_)
+    p = matvec(mass, v)
+    # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
+    total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
+    (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
+    return q_, mass, Gradients(lagrangian.space.pull(q_, dq), p)
 
 
 class AutodiffExpansion(Expansion):

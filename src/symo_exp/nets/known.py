@@ -20,6 +20,7 @@ from symo_exp.mechanics.lagrangian import (
     Gradients,
     Lagrangian,
     Rates,
+    differentiated,
     jacobian,
 )
 from symo_exp.mechanics.space import Space
@@ -117,7 +118,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         if self._closed_form:
             return Rates(*self._by_system(lambda at, q, v: at.rates(q, v), q, v))
         tracked = torch.is_grad_enabled()
-        q_, mass, (dq, p) = self.around(q, v, tracked)
+        q_, mass, (dq, p) = differentiated(self, q, v, tracked=tracked)
         with torch.enable_grad():
             moved = self.space.push(q_, v).unsqueeze(1)
             turned = (jacobian(p, q_, tracked=tracked) * moved).sum(-1)
