@@ -230,7 +230,7 @@ def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None
     label = symbol(name)
     if velocity:
         label = f"d{' ' * (len(label) > len('θ₁₂'))}{label}/dt"
-    return f"{label} [{', '.join(unit + '/s' * velocity for unit in units_for(name, angular))}]"
+    return f"{label} [{', '.join(unit + '/s' * velocity for unit in unit_choices(name, angular))}]"
 
 
 TURNS, RATES = ("roll", "pitch", "yaw"), ("ω_x", "ω_y", "ω_z")
@@ -253,7 +253,7 @@ def error_unit(names: Sequence[str], angular: bool | None = None) -> str:
         names: Their names.
         angular: Whether all are angles; each by its name if ``None``.
     """
-    units = {unit for name in names for unit in units_for(name, angular)}
+    units = {unit for name in names for unit in unit_choices(name, angular)}
     return ", ".join(f"{unit}²" for unit in sorted(units))
 
 
@@ -265,13 +265,13 @@ def inertia_unit(row: tuple[str, bool | None], column: tuple[str, bool | None]) 
             ``None``.
         column: The same of its column.
     """
-    units = [units_for(*coordinate) for coordinate in (row, column)]
+    units = [unit_choices(*coordinate) for coordinate in (row, column)]
     if any(len(one) > 1 for one in units):
         return "kg, kg m, kg m²"
     return ("kg", "kg m", "kg m²")[units.count(("rad",))]
 
 
-def units_for(name: str, angular: bool | None) -> tuple[str, ...]:
+def unit_choices(name: str, angular: bool | None) -> tuple[str, ...]:
     """Return the possible units of a coordinate.
 
     Args:

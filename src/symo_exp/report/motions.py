@@ -23,7 +23,7 @@ from symo_exp.report.looks import (
     in_order,
     inertia_unit,
     pair_name,
-    units_for,
+    unit_choices,
 )
 from symo_exp.report.runs import local_folder, run_table
 from symo_exp.runs.folder import STUDIES
@@ -140,7 +140,7 @@ def phase_space_figure(key: str, title: str, tables: Tables, angular: bool | Non
     """Return a panel for each method, with the truth below it; what may be an angle is wrapped."""
     name = coordinates(next(iter(tables.values())))[0]
     labels = axis_label(name, angular=angular), axis_label(name, velocity=True, angular=angular)
-    wrap = "rad" in units_for(name, angular)
+    wrap = "rad" in unit_choices(name, angular)
     panels = [
         Panel(pair_name(*pair), *labels,
               phase_rows(pair, kept(table), name, wrap=wrap, count=POINTS),
