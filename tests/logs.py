@@ -1,8 +1,12 @@
-"""Simulated logs of machines."""
+"""Simulated logs of machines, and what a search infers from a log."""
 
+from typing import Any
+
+import numpy as np
 import pandas as pd
 import torch
 
+from symo_exp.identify.recordings import Machine, examine
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 
@@ -20,3 +24,14 @@ def pendulum_log(viscous: float, time_step: float, steps: int, noise: float) -> 
         for k, (y, f) in enumerate(zip(q[..., 0], path.u[..., 0], strict=True))
     ]
     return pd.concat(tables)
+
+
+def pushes(t: Any) -> Any:
+    """An input of several frequencies."""
+    return sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+
+
+def examined(table: pd.DataFrame, data: Any = None, **given: Any) -> Machine:
+    """The machine that a table shows, with settings of its file, ``mine.csv``."""
+    table.to_csv("mine.csv", index=False)
+    return examine({"path": "mine.csv", **(data or {})}, **given)

@@ -27,6 +27,7 @@ from symo_exp.process import phases
 from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded
+from tests.logs import examined, pushes
 
 
 def table(count=5, seconds=2.0, h=0.02, name="theta"):
@@ -178,8 +179,7 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
     frame = table(count=4, seconds=6.0)
     frame["split"] = np.where(frame.trajectory < 3, "train", "val")
     frame.loc[frame.t > 3.0, "t"] += gap
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame)
     assert any("has nothing for test" in note for note in found.notes)
     assert any("are cut there" in note for note in found.notes) == bool(gap)
     assert found.seconds == pytest.approx(3 * 6.0, abs=0.5)
@@ -190,8 +190,7 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
 def test_half_a_step_is_tried_where_it_cuts_recordings_no_more(lost, offered, workplace):
     """Samples every 0.01 s, some of them lost; cut at gaps of 0.06 s, with half a step 0.03 s."""
     frame = table(count=4, seconds=6.0, h=0.01)
-    frame[~frame.t.between(3.005, 3.005 + 0.01 * lost)].to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame[~frame.t.between(3.005, 3.005 + 0.01 * lost)])
     assert found.time_step == 0.02
     assert bool(with_half_the_step(ladder(found)[0], found)) == offered
 
@@ -290,8 +289,7 @@ def test_the_voltage_and_the_current_of_a_motor_are_no_two_inputs(workplace):
 def test_the_time_step_does_not_depend_on_noise_and_on_how_often_it_is_seen(rate, workplace):
     t = np.arange(0.0, 20.0, 1.0 / rate)
     q = 0.5 * np.sin(4.0 * t) + 0.01 * np.random.default_rng(0).normal(size=len(t))
-    pd.DataFrame({"t": t, "q_theta": q}).to_csv("mine.csv", index=False)
-    assert examine({"path": "mine.csv"}).time_step == 0.02
+    assert examined(pd.DataFrame({"t": t, "q_theta": q})).time_step == 0.02
 
 
 @pytest.mark.parametrize(
@@ -299,23 +297,9 @@ def test_the_time_step_does_not_depend_on_noise_and_on_how_often_it_is_seen(rate
     [(-0.02, 90.0), (0.0, 2e-3), (0.0025, 1.0), (0.03, 2e-3), (0.03, 90.0), (0.0325, 1.0)],
 )
 def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, inertia, workplace):
-    rng = np.random.default_rng(0)
-    h = 0.005
-    t = np.arange(0.0, 20.0, h)
-
-    def force(at):
-        return sum(np.sin(w * at + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
-
-    q, v, motion = 0.0, 0.0, []
-    for now in t:
-        motion.append(q)
-        v += h * (force(now) - 4.0 * np.sin(q) - 0.3 * v)
-        q += h * v
-    q = np.array(motion) + 1e-4 * rng.normal(size=len(t))
-    frame = pd.DataFrame({"t": t, "q_theta": q, "u_theta": inertia * force(t + delay)})
-    frame.to_csv("driven.csv", index=False)
-    assert noise_of([q]) < 1e-3
-    found = examine({"path": "driven.csv"})
+    frame, h = driven(), 0.005
+    assert noise_of([frame.q_theta.to_numpy()]) < 1e-3
+    found = examined(frame.assign(u_theta=inertia * pushes(frame.t + delay)))
     assert found.driven
     settings = dict(setting.split("=") for setting in found.settings)
     assert float(settings.get("data.input_delay", 0.0)) == pytest.approx(delay, abs=0.05 * h)
@@ -336,8 +320,7 @@ def test_stretches_too_fast_for_the_samples_are_left_out(rate, angular, cut, wor
         if i == 0:
             q += 0.6 * np.sin(np.pi * (t - 2.0)) ** 2 * np.sin(100.0 * t) * (abs(t - 2.5) < 0.5)
         frames.append(pd.DataFrame({"trajectory": f"run {i}", "t": t, "q_theta": q}))
-    pd.concat(frames).to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"}, angular=angular)
+    found = examined(pd.concat(frames), angular=angular)
     told = [note for note in found.notes if "too fast" in note]
     assert len(told) == cut
     if cut:
@@ -374,12 +357,12 @@ def driven(lag=0.0, *, jumps=False):
     """Recordings of a pendulum whose motor follows its input with a time constant."""
     h, q, v, motion = 0.005, 0.0, 0.0, []
     t = np.arange(0.0, 20.0, h)
-    u = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    u = pushes(t)
     if jumps:
         u = 2.0 * np.sign(u)
-    for force in lagging(Samples(t, t[:, None], None, u[:, None]), lag).u[:, 0]:
+    for acting in lagging(Samples(t, t[:, None], None, u[:, None]), lag).u[:, 0]:
         motion.append(q)
-        v += h * (force - 4.0 * np.sin(q) - 0.3 * v)
+        v += h * (acting - 4.0 * np.sin(q) - 0.3 * v)
         q += h * v
     q = np.array(motion) + 1e-4 * np.random.default_rng(0).normal(size=len(t))
     return pd.DataFrame({"t": t, "q_theta": q, "u_theta": u})
@@ -390,8 +373,7 @@ def driven(lag=0.0, *, jumps=False):
 def test_the_time_constant_with_which_a_force_follows_its_input_is_found(lag, lost, workplace):
     """Also with gaps, after which forces depend on the inputs before."""
     frame = driven(lag, jumps=lost > 0.0)
-    frame[(frame.t % 0.7 >= lost) | (frame.t < lost)].to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv", "leave_out": []})
+    found = examined(frame[(frame.t % 0.7 >= lost) | (frame.t < lost)], {"leave_out": []})
     settings = dict(setting.split("=") for setting in found.settings)
     lag_found = float(settings.get("data.input_lag", 0.0))
     assert lag_found == pytest.approx(lag, abs=2e-3, rel=0.06)
@@ -441,8 +423,7 @@ def test_the_inertia_is_that_of_recordings_in_which_inputs_act(order, one, workp
         frame["trajectory"] = (frame.trajectory - 4).clip(0)
         frame["split"] = frame.trajectory.map(["train", "val", "test"].__getitem__)
         frame["t"] = 0.005 * np.arange(len(frame))
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame)
     assert min(found.friction) > 0.0
     settings = dict(setting.split("=") for setting in found.settings)
     assert "system.scale.mass" not in settings
@@ -486,8 +467,7 @@ def test_an_input_that_never_changes_suggests_neither_an_inertia_nor_a_delay(con
     frame = driven()
     if constant:
         frame["u_theta"] = 1.5
-    frame.to_csv("mine.csv", index=False)
-    said = "; ".join(examine({"path": "mine.csv"}).notes)
+    said = "; ".join(examined(frame).notes)
     assert ("as inputs suggest" in said) != constant
     assert ("inputs: no delay" in said) != constant
     assert ("never change" in said) == constant
@@ -498,8 +478,7 @@ def test_an_input_that_never_acts_is_named_and_changes_nothing(seconds, workplac
     frame = driven()
     frame["q_elbow"] = 0.4 * np.cos(2.9 * frame.t) + 0.3 * np.cos(4.3 * frame.t)
     frame = frame[frame.t < seconds].rename(columns={"q_theta": "q_arm", "u_theta": "u_arm"})
-    frame.assign(u_elbow=0.0).to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame.assign(u_elbow=0.0))
     (mend,) = [
         x
         for note in found.notes
@@ -524,8 +503,7 @@ def test_an_input_that_never_changes_is_named(workplace):
 
 
 def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
-    table().to_csv("mine.csv", index=False)
-    assert not any("inertia" in setting for setting in examine({"path": "mine.csv"}).settings)
+    assert not any("inertia" in setting for setting in examined(table()).settings)
 
 
 @pytest.mark.parametrize(
@@ -536,8 +514,7 @@ def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
     ],
 )  # fmt: skip
 def test_angles_are_told_by_name(name, angle, workplace):
-    table(name=name).to_csv("mine.csv", index=False)
-    assert examine({"path": "mine.csv"}).coordinates.angular == (angle,)
+    assert examined(table(name=name)).coordinates.angular == (angle,)
 
 
 @pytest.mark.parametrize(("file", "angle"), [("ball_position_m", False), ("ball_deg", True)])
@@ -574,8 +551,7 @@ def test_all_coordinates_that_may_be_angles_are_asked_for_at_once(known, workpla
 def test_angles_with_any_name_are_a_setting(name, workplace):
     frame = table(name=name)
     frame[f"q_{name}"] *= 20.0
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv", "degrees": False})
+    found = examined(frame, {"degrees": False})
     (word,) = (word for word in found.settings if word.startswith("system.angular="))
     (given,) = OverridesParser.create().parse_overrides([word])
     assert Recorded(names=[name], angular=given.value(), time_step=0.1).coordinates.angular == (
@@ -586,16 +562,14 @@ def test_angles_with_any_name_are_a_setting(name, workplace):
 def test_angles_whose_names_say_so_are_in_degrees(workplace):
     frame = table(name="1_deg")
     frame["q_1_deg"] *= 180.0 / np.pi
-    frame.to_csv("mine.csv", index=False)
-    assert "data.degrees=true" in examine({"path": "mine.csv"}).settings
+    assert "data.degrees=true" in examined(frame).settings
     assert "data.degrees=true" not in examine({"path": "mine.csv", "degrees": False}).settings
 
 
 def test_coordinates_that_never_move_are_named(workplace):
     frame = table()
     frame["q_elbow"] = 0.3
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame)
     (note,) = [note for note in found.notes if "q_elbow never moves" in note]
     assert note.endswith("give 'data.columns={q_elbow: null}'")
     assert not any("gear" in note for note in found.notes)  # rounding errors are no motion
@@ -612,8 +586,7 @@ def test_a_machine_without_its_joints_at_rest_is_one_setting(noise, workplace):
         frame[f"q_{name}"] = 0.3 + noise * rng.normal(size=len(frame))
         frame[f"v_{name}"], frame[f"u_{name}"] = 0.0, 0.1 * frame.u_arm + 0.2
     frame["v_arm"] = np.gradient(frame.q_arm, frame.t)
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame)
     (note,) = [note for note in found.notes if "never move by more than noise" in note]
     assert note.startswith("q_elbow, q_wrist")
     (word,) = shlex.split(note.partition(" give ")[2])
@@ -727,8 +700,7 @@ def test_recordings_in_another_unit_than_most_are_named(workplace):
 def test_angles_that_an_elastic_gear_joins_are_to_be_in_one_scale(ratio, bent, told, workplace):
     frame = table(name="arm")
     frame["q_motor"] = ratio * (frame.q_arm + bent * np.sin(20.0 * frame.t))
-    frame.to_csv("mine.csv", index=False)
-    notes = examine({"path": "mine.csv", "degrees": False}).notes
+    notes = examined(frame, {"degrees": False}).notes
     found = [note for note in notes if "elastic gear" in note]
     fast, times = ("q_motor", ratio) if abs(ratio) > 1.0 else ("q_arm", 1.0 / ratio)
     assert len(found) == told
@@ -760,8 +732,7 @@ def test_velocities_that_contradict_the_coordinates_are_told(factor, told, workp
     frame = table()
     swings = frame.groupby("trajectory").q_theta
     frame["v_theta"] = factor * swings.transform(lambda q: np.gradient(q, 0.02))
-    frame.to_csv("mine.csv", index=False)
-    found = [note for note in examine({"path": "mine.csv"}).notes if "the slope of" in note]
+    found = [note for note in examined(frame).notes if "the slope of" in note]
     assert len(found) == bool(told)
     assert all(f"v_theta is {told}" in note and "v_theta: null" in note for note in found)
 
@@ -779,8 +750,7 @@ def test_an_input_that_never_acts_is_told_where_a_matrix_is_asked_for(workplace)
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
     frame = table(name="shoulder")
     frame["q_elbow"], frame["u_elbow"] = frame.q_shoulder * 0.5, 0.1
-    frame.to_csv("mine.csv", index=False)
-    assert "system.input_matrix=[[0],[1]]" in examine({"path": "mine.csv"}).settings
+    assert "system.input_matrix=[[0],[1]]" in examined(frame).settings
     units = {name: f"{name} [{'Nm' if name[0] == 'u' else 'rad'}]" for name in frame if name != "t"}
     frame.rename(columns=units).to_csv("units.csv", index=False)
     assert "system.input_matrix=[[0],[1]]" in examine({"path": "units.csv"}).settings
@@ -796,8 +766,7 @@ def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
 def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
     t = 0.01 * np.arange(3000)
     angle = factor * ((3.0 * t + np.sin(t) + np.pi) % (2 * np.pi) - np.pi)
-    pd.DataFrame({"t": t, "q_1": angle}).to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(pd.DataFrame({"t": t, "q_1": angle}))
     assert found.coordinates.angular == (True,)
     assert settings == {word for word in found.settings if word.startswith("data.")}
     plain = examine({"path": "mine.csv"}, angular="all")
@@ -839,8 +808,7 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
 @pytest.mark.parametrize("rate", [99.0, 99.9, 99.95, 100.0, 100.05])
 def test_the_time_step_of_a_fast_motion_is_the_pace_of_the_samples(rate, workplace):
     t = np.arange(0.0, 6.0, 1.0 / rate)
-    pd.DataFrame({"t": t, "q_x": np.sin(100.0 * t)}).to_csv("mine.csv")
-    step = examine({"path": "mine.csv"}).time_step
+    step = examined(pd.DataFrame({"t": t, "q_x": np.sin(100.0 * t)})).time_step
     assert step == pytest.approx(1.0 / rate, rel=1.1e-3)
     system = Recorded(names=["x"], angular="none", time_step=step)
     RecordedData(system=system, path="mine.csv").setup()
@@ -856,8 +824,7 @@ def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
     frame = pd.DataFrame({"t": t, "q_x": x, "u_x": np.cos(2 * np.pi * hertz * t)})
     if pieces > 1:
         frame["trajectory"] = place
-    frame.to_csv("mine.csv", index=False)
-    step = examine({"path": "mine.csv", "time_unit": "s"}).time_step
+    step = examined(frame, {"time_unit": "s"}).time_step
     assert 0.2 < 2 * np.pi * hertz * step < 0.75
 
 
@@ -936,8 +903,7 @@ def test_errors_of_machines_that_a_controller_balances_count_over_shorter_times(
             q += h / 5 * v
     frame = pd.DataFrame(rows, columns=["t", "q_theta", "u_motor"])
     frame["q_theta"] += 1e-5 * rng.normal(size=len(frame))
-    frame.to_csv("mine.csv", index=False)
-    given = [x.split("=")[1] for x in examine({"path": "mine.csv"}).settings if "horizons" in x]
+    given = [x.split("=")[1] for x in examined(frame).settings if "horizons" in x]
     if horizons is None:
         assert not given
     else:
@@ -958,8 +924,7 @@ def test_errors_of_an_unstable_machine_grow_little_in_a_time_step(rate, step, wo
             x += h / 5 * v
     frame = pd.DataFrame(rows, columns=["t", "q_x", "u_x"])
     frame["q_x"] += 1e-6 * rng.normal(size=len(frame))
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    found = examined(frame)
     assert found.time_step == step
     assert found.horizon == pytest.approx(4.0 / rate, rel=0.15)
 
@@ -971,19 +936,18 @@ def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(
     """A motor and a link, with a spring between them or none; the link has a weight or none."""
     h, rng = 0.005, np.random.default_rng(0)
     t = np.arange(0.0, 30.0, h)
-    force = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    inputs = pushes(t)
     q, v, motion = np.zeros(2), np.zeros(2), []
     inertia = np.array([0.012, 0.008])
-    for now in force:
+    for now in inputs:
         motion.append(q)
         twist = stiffness * (q[1] - q[0])
         torque = np.array([now + twist, -twist - weight * np.sin(q[1])]) - 0.02 * v
         v = v + h * torque / inertia
         q = q + h * v
     q = np.array(motion) + 1e-5 * rng.normal(size=(len(t), 2))
-    frame = pd.DataFrame({"t": t, "q_motor": q[:, 0], "q_link": q[:, 1], "u_motor": force})
-    frame.to_csv("mine.csv", index=False)
-    found = examine({"path": "mine.csv"})
+    frame = pd.DataFrame({"t": t, "q_motor": q[:, 0], "q_link": q[:, 1], "u_motor": inputs})
+    found = examined(frame)
     if not stiffness:
         assert found.stiffness is None
         return

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.identify.recordings import examine
 from symo_exp.identify.senses import reversed_angles
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.planar_links import PlanarLinks
+from tests.logs import examined
 
 H, FINE, SECONDS, COUNT = 0.02, 4, 3.0, 16
 MACHINES = {
@@ -84,8 +84,7 @@ def test_a_search_says_which_angle_counts_in_the_other_direction(sign, workplace
         for i, one in enumerate(motions)
     )
     table["q_b"] *= sign
-    table.to_csv("mine.csv", index=False)
-    notes = examine({"path": "mine.csv"}, time_step=H).notes
+    notes = examined(table, time_step=H).notes
     assert any("q_b counts in the other direction" in note for note in notes) == (sign < 0.0)
 
 

@@ -15,6 +15,7 @@ from symo_exp.identify.validation import fold_error
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded
+from tests.logs import examined, pushes
 
 FACTORS = [(1.0, 1.0), (1e3, 1.0), (1e-6, 1e-6), (1e-5, 1.0), (0.03, 1e4)]
 """Units of a log: factors of lengths and of forces."""
@@ -32,7 +33,7 @@ EPOCHS = 15
 def sprung(length, force, h=0.02, steps=20):
     """Recordings of a mass on a spring, with a motor and friction."""
     t, rng = np.arange(0.0, 8.0, h), np.random.default_rng(0)
-    u = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    u = pushes(t)
     x, v, path = 0.0, 0.0, []
     for now in u:
         path.append(x)
@@ -51,8 +52,7 @@ def errors(length, force, folder):
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        sprung(length, force).to_csv("mine.csv", index=False)
-        machine, found = examine({"path": "mine.csv"}), {}
+        machine, found = examined(sprung(length, force)), {}
         for k, candidate in enumerate(ladder(machine)[:2]):
             effort = f"optimizer.starts={candidate.starts}", f"optimizer.epochs={EPOCHS}"
             words = [*SHORT, "data.path=mine.csv", *machine.settings, f"experiment=of_{k}", *effort]
@@ -85,8 +85,7 @@ def test_a_log_in_any_unit_has_the_same_best_candidate_and_error(
 @pytest.mark.parametrize(("length", "force"), FACTORS)
 def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length, force, workplace):
     frame = sprung(length, force)
-    frame.to_csv("mine.csv", index=False)
-    machine = examine({"path": "mine.csv"})
+    machine = examined(frame)
     units, settings = machine.units, dict(word.split("=") for word in machine.settings)
     assert 1 / 32 < np.ptp(frame.q_x) / units.length < 32
     inertia = float(settings["lagrangian.initial_inertia"])
@@ -163,8 +162,7 @@ def test_a_length_too_far_from_zero_is_refused_unless_it_never_moves(workplace):
     with pytest.raises(ConfigError, match=r"q_x goes from 99999\.\d+ to 100000\.\d+, too far"):
         examine({"path": "mine.csv"})
     still = np.round(np.random.default_rng(0).normal(size=len(frame)), 1)
-    frame.assign(q_lift=1e5 + still, u_lift=0.0).to_csv("mine.csv", index=False)
-    assert examine({"path": "mine.csv"}).moves
+    assert examined(frame.assign(q_lift=1e5 + still, u_lift=0.0)).moves
 
 
 @pytest.mark.parametrize(
@@ -174,8 +172,7 @@ def test_a_length_too_far_from_zero_is_refused_unless_it_never_moves(workplace):
 def test_held_out_errors_are_in_the_unit_of_length_of_the_parameters(
     length, force, unit, workplace
 ):
-    sprung(length, force).to_csv("mine.csv", index=False)
-    machine = examine({"path": "mine.csv"})
+    machine = examined(sprung(length, force))
     assert unit_of_held_out(machine.coordinates, machine.units) == unit
     both = Coordinates(("x", "theta"), (False, True))
     assert unit_of_held_out(both, machine.units) == f"{unit}, rad"
@@ -197,8 +194,7 @@ def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
 
 @pytest.mark.parametrize(("decimals", "told"), [(0, True), (2, False)])
 def test_lengths_in_whole_numbers_are_told(decimals, told, workplace):
-    sprung(1e5, 1.0).round({"q_x": decimals}).to_csv("mine.csv", index=False)
-    notes = examine({"path": "mine.csv"}).notes
+    notes = examined(sprung(1e5, 1.0).round({"q_x": decimals})).notes
     assert any("lengths of x are whole numbers" in note for note in notes) == told
 
 
@@ -206,8 +202,7 @@ def test_lengths_in_whole_numbers_are_told(decimals, told, workplace):
 def test_angles_in_degrees_by_their_names_in_the_file_are_read(name, degrees, workplace):
     """Though they move so little that nothing else shows it."""
     table = sprung(1.0, 1.0).rename(columns={"q_x": name})
-    table.to_csv("mine.csv", index=False)
-    machine = examine({"path": "mine.csv", "columns": {"q_a": name, "u_a": "u_x"}})
+    machine = examined(table, {"columns": {"q_a": name, "u_a": "u_x"}})
     assert machine.coordinates.angular == (True,)
     assert ("data.degrees=true" in machine.settings) == degrees
 
