@@ -1,7 +1,6 @@
 """Errors of recordings widen intervals so that those of another recording are inside."""
 
 import logging
-import math
 
 import pytest
 import torch
@@ -10,7 +9,6 @@ from symo_exp.evaluation import uncertainty
 from symo_exp.evaluation.horizon import cut, predict
 from symo_exp.evaluation.intervals import (
     LEVEL,
-    SCALES,
     Predicted,
     coverage,
     relative_error,
@@ -101,11 +99,6 @@ def test_a_recording_in_which_every_rollout_diverged_is_left_out():
     diverged[recording == 2] = torch.nan
     rows = recording < 2
     torch.testing.assert_close(found(diverged, recording), found(error[rows], recording[rows]))
-
-
-def test_sizes_have_the_median_one():
-    middle = (torch.arange(SCALES).double() + 0.5) / SCALES
-    assert math.isclose(float(torch.special.ndtri(middle).sum()), 0.0, abs_tol=1e-12)
 
 
 def test_coverage_is_the_share_of_measured_nodes_inside_and_width_the_median():

@@ -65,7 +65,6 @@ class Ranked(NamedTuple):
     """Values of one measure: a row for each system and seed, a column for each contestant."""
 
     question: Question
-    asks: str
     metric: str
     noise: float
     size: float
@@ -181,8 +180,9 @@ def _ask(rows: pd.DataFrame, question: Question) -> Ranked | None:
     angular = {
         str(system): all_angles(own.metric, own.value) for system, own in rows.groupby("system")
     }
-    asks = "One step ahead" if question.smallest and not few else question.asks
-    return Ranked(question, asks, there[0], noise, size, values, angular)
+    if question.smallest and not few:
+        question = question._replace(asks="One step ahead")
+    return Ranked(question, there[0], noise, size, values, angular)
 
 
 def sentence(found: Ranked) -> str:
@@ -212,7 +212,7 @@ def _asked(found: Ranked) -> str:
     """Return the question with the noise and the size of the training set."""
     where = [f"noise {number(found.noise)}"] if found.noise else []
     where += [counted(found.size, "trajectory")] if found.size else []
-    return f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
+    return f"**{found.question.asks}**" + f" ({', '.join(where)})" * bool(where)
 
 
 def _smallest(found: Ranked) -> str:

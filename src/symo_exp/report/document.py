@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import pandas as pd
 
 from symo_exp.report.figures import Figure
-from symo_exp.report.looks import letters
 from symo_exp.report.tables import ResultTable
 
 
@@ -89,7 +89,7 @@ class Report:
 
 def _free(key: str, taken: set[str]) -> str:
     """Return a key that is not yet ``taken``, and add it there."""
-    name, count = letters(key), 1
+    name, count = re.sub(r"\W", "_", key), 1
     free = name
     while free.casefold() in taken:  # some disks do not tell capital letters from small ones
         count += 1

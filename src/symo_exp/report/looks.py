@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -205,11 +205,6 @@ def number(x: float) -> str:
     return "–" if math.isnan(x) else f"{x:g}"
 
 
-def letters(name: str) -> str:
-    """Return a name with letters and digits alone, for a file."""
-    return "".join(c if c.isalnum() else "_" for c in name)
-
-
 def symbol(name: str) -> str:
     """Return the symbol of a coordinate: θ₁ for ``theta_1``."""
     found = re.fullmatch(rf"({'|'.join(GREEK)}|[a-zA-Z])_?(\d*)", name)
@@ -244,17 +239,6 @@ def coordinate_labels(coordinates: Coordinates, *, velocity: bool = False) -> li
     labels = [axis_label(name, velocity=velocity, angular=turns) for name, turns in plain]
     unit = "rad/s" if velocity else "rad"
     return labels + [f"{w} of {name} [{unit}]" for name in coordinates.rotations for w in words]
-
-
-def error_unit(names: Sequence[str], angular: bool | None = None) -> str:
-    """Return the unit of a squared error over coordinates: ``m², rad²``.
-
-    Args:
-        names: Their names.
-        angular: Whether all are angles; each by its name if ``None``.
-    """
-    units = {unit for name in names for unit in unit_choices(name, angular)}
-    return ", ".join(f"{unit}²" for unit in sorted(units))
 
 
 def inertia_unit(row: tuple[str, bool | None], column: tuple[str, bool | None]) -> str:

@@ -19,7 +19,6 @@ from symo_exp.report.looks import (
     Pair,
     all_angles,
     axis_label,
-    error_unit,
     in_order,
     inertia_unit,
     pair_name,
@@ -130,7 +129,8 @@ def motion_figure(key: str, title: str, tables: Tables, angular: bool | None = N
         )
         for pair, table in tables.items()
     }
-    label = f"squared error [{error_unit(names, angular)}]"
+    units = sorted({unit for name in names for unit in unit_choices(name, angular)})
+    label = f"squared error [{', '.join(f'{unit}²' for unit in units)}]"
     panels.append(over_time(errors, "error", None, label, log=True))
     panels.append(over_time(tables, "energy", "energy_true", "energy [J]"))
     return Figure(key, title, FIRST, panels)
