@@ -44,13 +44,11 @@ class Effort:
     """The effort of a training.
 
     Args:
-        start: Epochs with held nodes.
-        epochs: Epochs for each epsilon.
+        epochs: Epochs of each start with held nodes, and for each epsilon.
         sparse: Whether there are few validations, instead of one after each stage.
         measured: Length of held-out data at most [s].
     """
 
-    start: int
     epochs: int
     sparse: bool = False
     measured: float = MEASURED[0]
@@ -62,7 +60,7 @@ class Effort:
 
     def begun(self, candidate: Candidate) -> int:
         """Return the epochs of a training with smoothed nodes."""
-        return candidate.forces + candidate.starts * self.start
+        return candidate.forces + candidate.starts * self.epochs
 
     def between(self, candidate: Candidate) -> int:
         """Return the epochs between validations."""
@@ -106,5 +104,5 @@ class Effort:
         return training + self.validation(candidate, machine)
 
 
-EFFORTS = (Effort(20, 20), Effort(10, 10))
+EFFORTS = (Effort(20), Effort(10))
 """Of trainings, from the most thorough."""

@@ -73,7 +73,7 @@ class Plan:
     def overrides(self, candidate: Candidate) -> list[str]:
         """Return the settings of the training of a candidate."""
         return [
-            f"optimizer.start={self.effort.start}",
+            f"optimizer.start={self.effort.epochs}",
             f"optimizer.epochs={self.effort.epochs}",
             f"trainer.validate_every={self.effort.between(candidate)}",
             f"optimizer.starts={candidate.starts}",
