@@ -8,15 +8,9 @@ import pytest
 from symo_exp.evaluation.verdict import verdict
 from symo_exp.identify.answer import Answer
 from symo_exp.identify.doubts import doubts, hopeless, missed
-from symo_exp.identify.recordings import Machine
-from symo_exp.mechanics.types import Coordinates
-from symo_exp.mechanics.units import SI
+from tests.identify.test_plan import machine
 
-SOUND = Machine(
-    settings=(), coordinates=Coordinates(("a",), (True,)), driven=True, time_step=0.02,
-    finest_step=0.01, seconds=60.0, recordings=6, rest_velocity=0.1, units=SI, delay=0.0,
-    explained=0.95, moves=True, stiffness=None, notes=(),
-)  # fmt: skip
+SOUND = replace(machine(1), delay=0.0)
 
 
 @pytest.mark.parametrize(

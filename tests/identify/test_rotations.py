@@ -12,7 +12,6 @@ import torch
 
 from symo_exp.data.weak import quasi_coordinates
 from symo_exp.errors import ConfigError
-from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.structures import ladder
 from symo_exp.identify.variations import variations
 from symo_exp.mechanics.types import Coordinates, Trajectories
@@ -20,6 +19,7 @@ from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from tests.data.small import write_recordings
 from tests.jobs import planned
+from tests.logs import examined
 
 H = 0.01
 FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
@@ -36,22 +36,17 @@ def motions(name: str, count: int = 8, steps: int = 150) -> Trajectories:
     return simulate(system, q, v, u.unsqueeze(1) * swings, steps, Solver())
 
 
-def logged(name: str, path: Path, velocities: bool = False) -> pd.DataFrame:
-    """Return the table of the motions of a system."""
-    write_recordings(path / "log.parquet", motions(name), stated(name).coordinates, H)
-    table = pd.read_parquet(path / "log.parquet")
-    return table if velocities else table[[c for c in table if not c.startswith("v_")]]
-
-
-def examined(table: pd.DataFrame, path: Path, **given: object) -> Machine:
-    table.to_csv(path / "log.csv", index=False)
-    return examine({"path": str(path / "log.csv")}, **given)
+def logged(name: str) -> pd.DataFrame:
+    """Return the table of the motions of a system, without velocities."""
+    write_recordings(Path("log.parquet"), motions(name), stated(name).coordinates, H)
+    table = pd.read_parquet("log.parquet")
+    return table[[c for c in table if not c.startswith("v_")]]
 
 
 @pytest.mark.parametrize("name", ["rigid_body", "spherical_pendulum", "quadrotor"])
-def test_a_rotation_and_what_moves_it_are_found_in_a_table(name: str, tmp_path: Path) -> None:
+def test_a_rotation_and_what_moves_it_are_found_in_a_table(name: str, workplace: Path) -> None:
     system = stated(name)
-    found = examined(logged(name, tmp_path), tmp_path)
+    found = examined(logged(name))
     assert found.coordinates.names == system.coordinates.names
     assert "system.rotations=[R]" in found.settings or 'system.rotations=["R"]' in found.settings
     assert found.body
@@ -60,10 +55,10 @@ def test_a_rotation_and_what_moves_it_are_found_in_a_table(name: str, tmp_path: 
     assert found.stiffness is None
 
 
-def test_known_inputs_show_the_mass_and_the_radius_of_gyration_of_a_body(tmp_path: Path) -> None:
+def test_known_inputs_show_the_mass_and_the_radius_of_gyration_of_a_body(workplace: Path) -> None:
     system = stated("quadrotor")
     matrix = system.input_matrix.tolist()
-    found = examined(logged("quadrotor", tmp_path), tmp_path, input_matrix=matrix)
+    found = examined(logged("quadrotor"), input_matrix=matrix)
     assert found.body
     assert found.learned_inputs == 0
     (mass,) = (x.partition("=")[2] for x in found.settings if "initial_inertia" in x)
@@ -72,49 +67,48 @@ def test_known_inputs_show_the_mass_and_the_radius_of_gyration_of_a_body(tmp_pat
     assert found.radius == pytest.approx(gyration, rel=0.3)
 
 
-def test_the_time_step_resolves_a_fast_spin(tmp_path: Path) -> None:
+def test_the_time_step_resolves_a_fast_spin(workplace: Path) -> None:
     t = np.arange(0.0, 4.0, 0.001)
     for rate, step in ((5.0, 0.02), (60.0, 0.01), (200.0, 0.002)):
         quaternion = [np.cos(rate * t / 2), 0 * t, 0 * t, np.sin(rate * t / 2)]
         columns = dict(zip((f"q_R_{part}" for part in "wxyz"), quaternion, strict=True))
-        found = examined(pd.DataFrame({"t": t, **columns}), tmp_path)
+        found = examined(pd.DataFrame({"t": t, **columns}))
         assert found.time_step == step
 
 
-def test_several_bodies_need_the_matrix_of_their_inputs(tmp_path: Path) -> None:
-    table = logged("rigid_body", tmp_path)
+def test_several_bodies_need_the_matrix_of_their_inputs(workplace: Path) -> None:
+    table = logged("rigid_body")
     for part in "wxyz":
         table[f"q_S_{part}"] = table[f"q_R_{part}"]
     with pytest.raises(ConfigError, match=r"system\.input_matrix"):
-        examined(table, tmp_path)
+        examined(table)
     table = table[[c for c in table if not c.startswith("u_")]]
-    found = examined(table, tmp_path)
+    found = examined(table)
     assert (len(found.coordinates.rotations), found.body) == (2, False)
     assert {c.settings["lagrangian"] for c in ladder(found)} == {"network"}
 
 
-def test_angles_beside_a_rotation_need_the_matrix_of_their_inputs(tmp_path: Path) -> None:
-    table = logged("quadrotor", tmp_path).rename(columns={"q_z": "q_theta"})
+def test_angles_beside_a_rotation_need_the_matrix_of_their_inputs(workplace: Path) -> None:
+    table = logged("quadrotor").rename(columns={"q_z": "q_theta"})
     with pytest.raises(ConfigError, match=r"system\.input_matrix"):
-        examined(table, tmp_path)
+        examined(table)
 
 
-def test_a_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
-    table = logged("rigid_body", tmp_path)
+def test_a_quaternion_that_is_none_is_refused(workplace: Path) -> None:
+    table = logged("rigid_body")
     table["q_R_w"] *= 1.1
     with pytest.raises(ConfigError, match="expected a unit quaternion"):
-        examined(table, tmp_path)
+        examined(table)
 
 
 @pytest.mark.parametrize(("name", "known"), [("rigid_body", False), ("quadrotor", True)])
 def test_every_candidate_and_kind_of_variation_can_be_built(
-    name: str, known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, known: bool, workplace: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     matrix = stated(name).input_matrix.tolist() if known else None
-    found = examined(logged(name, tmp_path), tmp_path, input_matrix=matrix)
+    found = examined(logged(name), input_matrix=matrix)
     given = [f"system.input_matrix={str(matrix).replace(' ', '')}"] if known else []
-    given += ["preset=recorded", "data=recorded", "system=recorded", "data.path=log.csv"]
+    given += ["preset=recorded", "data=recorded", "system=recorded", "data.path=mine.csv"]
     tried = [{*one.overrides()} for one in ladder(found)]
     for one in ladder(found):
         for words in ({*x.overrides()} for x in variations(one, found)):
