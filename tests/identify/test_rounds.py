@@ -51,7 +51,7 @@ def prepared(tmp_path, monkeypatch):
     def prepare(told, one, budget=600.0, pace=None):
         plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")
         fits = ToldFits(tmp_path, told, one, plan, pace)
-        return Rounds(fits, lambda *_: None), fits, plan
+        return Rounds(fits, trials.Trials(fits, lambda *_: None)), fits, plan
 
     return prepare
 

@@ -27,7 +27,6 @@ from symo_exp.identify.variations import (
     with_less_friction,
     without_springs,
 )
-from symo_exp.runs.folder import RunFolder
 
 HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
@@ -42,14 +41,12 @@ class Rounds:
 
     Args:
         fits: Fits candidates to the recordings of a machine by a plan.
-        progressed: Called with the best fit and the candidates so far after every round.
+        trials: The candidates that were tried by these fits.
     """
 
-    def __init__(
-        self, fits: Fits, progressed: Callable[[RunFolder, Sequence[Trial]], object]
-    ) -> None:
+    def __init__(self, fits: Fits, trials: Trials) -> None:
         self._machine, self._plan, self._given = fits.machine, fits.plan, fits.given
-        self.trials = Trials(fits, progressed)
+        self.trials = trials
 
     def screen(self, candidates: Sequence[Candidate]) -> None:
         """Successive halving: every round has fewer candidates on more folds."""

@@ -31,6 +31,7 @@ from symo_exp.identify.request import Request, plain_value
 from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.speed import machine_speed
 from symo_exp.identify.structures import ladder
+from symo_exp.identify.trials import Trials
 from symo_exp.identify.validation import (
     NOISY,
     Trial,
@@ -114,14 +115,15 @@ class Search:
             return 0
         if kept is None:
             plans.keep_plan(self._folder / PLAN, plan)
-        rounds = Rounds(fits, answer.keep)
+        trials = Trials(fits, answer.keep)
+        rounds = Rounds(fits, trials)
         rounds.screen(planned)
         rounds.deepen(others)
         if (best := rounds.refine()) is None:
-            answer.summarise(rounds.trials.by_simplicity(), None)
+            answer.summarise(trials.by_simplicity(), None)
             return answer.give_up()
-        code = self._conclude(fits, rounds.trials.by_simplicity(), best, answer)
-        tried = {candidate.name for candidate in rounds.trials.candidates}
+        code = self._conclude(fits, trials.by_simplicity(), best, answer)
+        tried = {candidate.name for candidate in trials.candidates}
         if untried := [c.name for c in others if c.name not in tried]:
             print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return code
