@@ -115,9 +115,7 @@ def test_coverage_is_the_share_of_measured_nodes_inside_and_width_the_median():
 def test_errors_of_models_that_were_not_trained_on_recordings_widen_intervals(held_out):
     """Each recording counts with the error of its own model, in whatever group it comes."""
     model, other = (make("symo", "midpoint", 1).for_evaluation() for _ in range(2))
-    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
-    none = torch.zeros(len(mean), 0, dtype=torch.float64)
-    posterior = Posterior(mean, none, none, 1e-3, 1e-4, 100)
+    posterior = certain(model)
     swings = [swing(model, start) for start in (0.3, 0.5)]
 
     def kappa(*groups):
@@ -136,10 +134,8 @@ def test_errors_of_models_that_were_not_trained_on_recordings_widen_intervals(he
 @pytest.mark.parametrize("widest", [0, 1, 2])
 def test_the_log_tells_the_largest_error_beyond_the_posterior(widest, caplog, monkeypatch):
     model = make("symo", "midpoint", 1).double()
-    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
-    none = torch.zeros(len(mean), 0, dtype=torch.float64)
     kappa = 2.5 * (torch.arange(3) == widest).double().unsqueeze(1)
-    given = ModelPosterior(Posterior(mean, none, none, 1e-3, 1e-4, 100), kappa)
+    given = ModelPosterior(certain(model), kappa)
     monkeypatch.setattr(uncertainty, "posterior", lambda *_, **__: given.parameters)
     monkeypatch.setattr(uncertainty, "widened", lambda *_: given)
     with caplog.at_level(logging.INFO):
@@ -147,6 +143,13 @@ def test_the_log_tells_the_largest_error_beyond_the_posterior(widest, caplog, mo
     (line,) = caplog.messages
     time = f"{widest * model.time_step:.2g}"
     assert f"by at most 2.5 times the sensitivity to the start, after {time} s" in line
+
+
+def certain(model):
+    """A posterior with the parameters of a model alone."""
+    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
+    none = torch.zeros(len(mean), 0, dtype=torch.float64)
+    return Posterior(mean, none, none, 1e-3, 1e-4, 100)
 
 
 def swing(model, start):

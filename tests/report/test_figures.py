@@ -168,15 +168,20 @@ def test_a_chart_that_cannot_be_written_leaves_the_one_before(form, tmp_path, mo
     assert file.read_bytes() == before
 
 
+def drawn_axis(low, high, folder):
+    """The logarithmic axis of a chart as text of a file."""
+    x = np.geomspace(low, high, 5)
+    rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
+    panel = Panel("", "there", "", rows, x_log=True, mark="points")
+    (file,) = draw_charts(Figure("k", "", "", [panel]), folder, ["svg"])
+    return file.read_text().partition(">there<")[0]
+
+
 @pytest.mark.parametrize(
     ("low", "high"), [(21.0, 29.0), (2.0, 9.0), (1.0, 1e3), (1.3, 130.0), (7.0, 4e3)]
 )
 def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
-    x = np.geomspace(low, high, 5)
-    rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
-    panel = Panel("", "there", "", rows, x_log=True, mark="points")
-    (file,) = draw_charts(Figure("k", "", "", [panel]), tmp_path, ["svg"])
-    shown = re.findall(r">([-.\de]+)</text>", file.read_text().partition(">there<")[0])
+    shown = re.findall(r">([-.\de]+)</text>", drawn_axis(low, high, tmp_path))
     labels = np.array([float(text) for text in shown])
     third = (high / low) ** (1 / 3)
     for k in range(3):
@@ -186,11 +191,7 @@ def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
 @pytest.mark.parametrize(("low", "high"), [(0.048, 0.0632), (0.0101, 0.0142), (21.0, 29.0)])
 def test_labels_of_an_axis_are_apart(low, high, tmp_path):
     """Times of training within a power of ten have long labels."""
-    x = np.geomspace(low, high, 5)
-    rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
-    panel = Panel("", "there", "", rows, x_log=True, mark="points")
-    (file,) = draw_charts(Figure("k", "", "", [panel]), tmp_path, ["svg"])
-    axis = file.read_text().partition(">there<")[0]
+    axis = drawn_axis(low, high, tmp_path)
     place = r'translate\(([-.\d]+),[-.\d]+\)"[^>]*font-size="10.5px"[^>]*opacity="1">([.\d]+)<'
     shown = [(float(at), 3.3 * text.count(".") + 6.7 * len(text.replace(".", "")))
              for at, text in re.findall(place, axis)]  # fmt: skip
