@@ -6,13 +6,16 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from symo_exp.errors import shortened
 from symo_exp.runs.outcome import About, Outcome, recording_names
 from symo_exp.shell import python_command
 from symo_exp.shipped import in_checkout
 from symo_exp.tracking.store import Store, connect, is_away
+
+if TYPE_CHECKING:
+    from mlflow.entities import Run
 
 NOTE = "mlflow.note.content"
 COMMAND, RESULT = "symo_exp.command", "symo_exp.result"
@@ -34,18 +37,16 @@ def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -
     return "\n\n".join(filter(None, (command, result)))
 
 
-def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> None:
+def send_dataset(store: Store, run: Run, parameters: Mapping[str, Any]) -> None:
     """Send what the run was trained on as MLflow's dataset; the same data have one digest."""
     from mlflow.entities import Dataset, DatasetInput, InputTag
     from mlflow.exceptions import MlflowException
 
-    client = connect(store)
     told = {
         key: str(value) for key, value in parameters.items()
         if key.startswith(("data", "system", "draws")) or key == "seed"
     }  # fmt: skip
-    there = client.get_run(run_id).inputs
-    if "system" not in told or (there and there.dataset_inputs):
+    if "system" not in told or (run.inputs and run.inputs.dataset_inputs):
         return
     source = json.dumps(told, sort_keys=True)
     size = {"trajectories": told.get("data.n_traj"), "noise_std": told.get("data.noise_std")}
@@ -56,8 +57,8 @@ def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> No
         name=name, digest=hashlib.sha256(source.encode()).hexdigest()[:8],
         source_type="symo_exp", source=source, profile=json.dumps(size),
     )  # fmt: skip
-    tags = [InputTag("mlflow.data.context", "training")]
-    given = [DatasetInput(dataset, tags)]
+    given = [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])]
+    client, run_id = connect(store), str(run.info.run_id)
     try:
         client.log_inputs(run_id, datasets=given)
     except MlflowException as error:

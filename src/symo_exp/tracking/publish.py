@@ -89,7 +89,10 @@ class MlflowView:
         self.check()  # answers sooner than MLflow, which tries again and again
         run = self._open.get(about.identity)
         if run is None:
-            run = self._open[about.identity] = _Opened(self._find(about, folder), self.store)
+            found = self._find(about, folder)
+            run = self._open[about.identity] = _Opened(found, self.store)
+            run.send_parameters(about)
+            send_dataset(self.store, found, about.parameters)
         run.send_series(self._rows(folder, last=outcome.status == "finished"))
         if outcome.status == "finished":
             run.send_measures(folder.measures() | _parameters(folder))
@@ -111,7 +114,7 @@ class MlflowView:
                 self.publish(RunFolder(path))
                 log.warning("%s: marked as failed, its process had ended", path)
 
-    def _find(self, about: About, folder: RunFolder) -> str:
+    def _find(self, about: About, folder: RunFolder) -> Run:
         """Return the run of the store that belongs to the folder, created if there is none."""
         client = connect(self.store)
         parent = self._search(about.sweep) if about.sweep else None
@@ -120,18 +123,13 @@ class MlflowView:
         if found is not None:
             for key, value in tags.items():
                 client.set_tag(found.info.run_id, key, value)
-            run_id = str(found.info.run_id)
-        else:
-            tags |= {**about.tags, IDENTITY: about.identity, FOLDER: str(folder.path)}
-            experiment = experiment_id(self.store, self._experiment)
-            with self.store.lock():
-                created = client.create_run(
-                    experiment, start_time=int(1e3 * about.started), run_name=about.name, tags=tags
-                )
-            run_id = str(created.info.run_id)
-        _send_parameters(self.store, run_id, about)
-        send_dataset(self.store, run_id, about.parameters)
-        return run_id
+            return found
+        tags |= {**about.tags, IDENTITY: about.identity, FOLDER: str(folder.path)}
+        experiment = experiment_id(self.store, self._experiment)
+        with self.store.lock():
+            return client.create_run(
+                experiment, start_time=int(1e3 * about.started), run_name=about.name, tags=tags
+            )
 
     def _search(self, identity: str) -> Run | None:
         wanted = f"tags.`{IDENTITY}` = '{identity}'"
@@ -185,15 +183,25 @@ def _allowed(name: str) -> str:
 class _Opened:
     """A run of the store and what it is known to have; a cache of one process."""
 
-    def __init__(self, run_id: str, store: Store) -> None:
-        self.run_id, self._client = run_id, connect(store)
+    def __init__(self, run: Run, store: Store) -> None:
+        self.run_id, self._client = str(run.info.run_id), connect(store)
         self._status = ""
-        run = self._client.get_run(run_id)
+        self._parameters = run.data.params
         self._tags, self._values = dict(run.data.tags), dict(run.data.metrics)
         self._sent: dict[str, int] = {
-            name: max(row.step for row in self._client.get_metric_history(run_id, name))
+            name: max(row.step for row in self._client.get_metric_history(self.run_id, name))
             for name in run.data.metrics
         }
+
+    def send_parameters(self, about: About) -> None:
+        """Send parameters that the store does not have: MLflow lets none be changed."""
+        from mlflow.entities import Param
+
+        given = {**about.parameters, "variant": about.variant} if about.parameters else {}
+        named = {_allowed(name): str(value) for name, value in given.items()}
+        new = [Param(name, x) for name, x in named.items() if name not in self._parameters]
+        for start in range(0, len(new), PARAMETERS):
+            self._client.log_batch(self.run_id, params=new[start : start + PARAMETERS])
 
     def send_series(self, rows: list[dict[str, float]]) -> None:
         """Send the rows after those that the store has."""
@@ -255,16 +263,3 @@ class _Opened:
         else:
             self._client.set_terminated(self.run_id, status=status)
         self._status = status
-
-
-def _send_parameters(store: Store, run_id: str, about: About) -> None:
-    """Send parameters that the store does not have: MLflow lets none be changed."""
-    from mlflow.entities import Param
-
-    client = connect(store)
-    there = client.get_run(run_id).data.params
-    given = {**about.parameters, "variant": about.variant} if about.parameters else {}
-    named = {_allowed(name): str(value) for name, value in given.items()}
-    params = [Param(name, value) for name, value in named.items() if name not in there]
-    for start in range(0, len(params), PARAMETERS):
-        client.log_batch(run_id, params=params[start : start + PARAMETERS])
