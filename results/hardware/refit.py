@@ -23,7 +23,6 @@ from scipy.optimize import least_squares
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import cut, predict
 from symo_exp.evaluation.references import Continuous
-from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.systems.rigs import Rig
 
@@ -59,24 +58,15 @@ def pieces(trajectories: Sequence[Trajectory]) -> Trajectory:
                         for x in ("q", "v", "u")))  # fmt: skip
 
 
-def rolled(rig: Rig, windows: Trajectory) -> torch.Tensor:
-    q, v, found = windows.q[:, 0], windows.v[:, 0], []
-    for before, after in zip(windows.u[:, :-1].unbind(1), windows.u[:, 1:].unbind(1), strict=True):
-        for i in range(SUBSTEPS):
-            a, b = (before + (i + j) / SUBSTEPS * (after - before) for j in (0, 1))
-            q, v = RK4().step(rig.acceleration, q, v, a, b, TIME_STEP / SUBSTEPS)
-        found.append(q)
-    return torch.stack(found, 1)
-
-
 def refitted(rig: Rig, trajectories: Sequence[Trajectory]) -> Rig:
     windows, start = pieces(trajectories), flat(rig)
     scale = np.maximum(np.abs(start), 1e-3)
 
     def residuals(x: np.ndarray) -> np.ndarray:
+        moved = Continuous(with_parameters(rig, start + scale * x), TIME_STEP, SUBSTEPS)
         with torch.no_grad():
-            moved = rolled(with_parameters(rig, start + scale * x), windows)
-        error = (moved - windows.q[:, 1:]).nan_to_num(1e3, 1e3, -1e3).clamp(-1e3, 1e3)
+            path = moved.rollout(windows.q[:, 0], windows.v[:, 0], windows.u)
+        error = (path.q - windows.q)[:, 1:].nan_to_num(1e3, 1e3, -1e3).clamp(-1e3, 1e3)
         return np.asarray(error.flatten())
 
     found = least_squares(

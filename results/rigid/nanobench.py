@@ -19,10 +19,9 @@ from torch import Tensor
 import symo_exp
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import Predictions, cut, predict
-from symo_exp.evaluation.references import ConstantVelocity
-from symo_exp.mechanics.explicit import RK4
+from symo_exp.evaluation.references import ConstantVelocity, Continuous
 from symo_exp.mechanics.space import Space, rotation_vector
-from symo_exp.mechanics.types import Trajectories, Trajectory
+from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import RollsOut
 
 TIME_STEP, HORIZON = 0.02, 0.5
@@ -103,8 +102,6 @@ class PhysicalModel:
         turn: Torque of a rotor about its axis over its thrust [m].
     """
 
-    time_step = TIME_STEP
-
     def __init__(self, lift: float, share: float, turn: float) -> None:
         self._lift, lever = 4.0 * lift, ARM / 2**0.5
         torques = torch.tensor([lever, lever, turn], dtype=torch.float64)
@@ -119,17 +116,8 @@ class PhysicalModel:
         torque = u[:, 1:4] * self._torques - torch.linalg.cross(spin, self._inertia * spin)
         return torch.cat((linear, torque / self._inertia), dim=1)
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
-        """Return the motion from a start over as many nodes as ``u`` has."""
-        q, v = [q0], [v0]
-        for before, after in zip(u[:, :-1].unbind(1), u[:, 1:].unbind(1), strict=True):
-            state = RK4().step(self.acceleration, q[-1], v[-1], before, after, TIME_STEP, SPACE)
-            q.append(state[0])
-            v.append(state[1])
-        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
 
-
-def fitted_physics(flights: Sequence[Trajectory]) -> PhysicalModel:
+def fitted_physics(flights: Sequence[Trajectory]) -> Continuous:
     """Return the physical model whose rotors fit rollouts of 0.5 s from measured states best.
 
     Least squares of position [m] and attitude [rad] with Huber's loss.
@@ -143,8 +131,8 @@ def fitted_physics(flights: Sequence[Trajectory]) -> PhysicalModel:
     q, v, u = (torch.stack(x).double() for x in zip(*windows, strict=True))
     start = np.array([MASS * 9.81 / 4, 0.05, 0.006])
 
-    def model(x: np.ndarray) -> PhysicalModel:
-        return PhysicalModel(*(start * x))
+    def model(x: np.ndarray) -> Continuous:
+        return Continuous(PhysicalModel(*(start * x)), TIME_STEP, 1, SPACE)
 
     def residuals(x: np.ndarray) -> np.ndarray:
         moved = model(x).rollout(q[:, 0], v[:, 0], u).q

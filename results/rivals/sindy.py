@@ -18,8 +18,7 @@ from machines import TIME_STEP, Machine
 from polynomials import Products
 from torch import Tensor
 
-from symo_exp.mechanics.explicit import RK4
-from symo_exp.mechanics.types import Trajectories
+from symo_exp.evaluation.references import Continuous
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "pysindy", "angles are angles; velocities and accelerations from the recording"
@@ -44,7 +43,6 @@ class Sparse:
     coupling: Tensor | None
     """(products, n, n)."""
     dry: bool
-    time_step = TIME_STEP
 
     def acceleration(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
         right = self.products(quantities(q, v, u, dry=self.dry)) @ self.weights
@@ -53,18 +51,6 @@ class Sparse:
         turned = self.mixed(torch.cat((q.sin(), q.cos()), dim=1))
         matrix = torch.eye(q.shape[1]).to(q) - torch.einsum("bk,kij->bij", turned, self.coupling)
         return torch.linalg.solve_ex(matrix, right)[0]
-
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
-        rule, h = RK4(), TIME_STEP / SUBSTEPS
-        q, v = [q0], [v0]
-        for before, after in itertools.pairwise(u.unbind(1)):
-            state = q[-1], v[-1]
-            for i in range(SUBSTEPS):
-                a, b = (before + (i + j) / SUBSTEPS * (after - before) for j in (0, 1))
-                state = rule.step(self.acceleration, *state, a, b, h)
-            q.append(state[0])
-            v.append(state[1])
-        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
 
 
 def differentiated(machine: Machine, given: str, window: int) -> tuple[Tensor, ...]:
@@ -83,7 +69,7 @@ def differentiated(machine: Machine, given: str, window: int) -> tuple[Tensor, .
 
 def fitted(
     machine: Machine, *, velocities: str, window: int, degree: int, threshold: float, implicit: bool
-) -> Sparse:
+) -> Continuous:
     q, v, a, u = differentiated(machine, velocities, window)
     dry = machine.driven
     z = quantities(q, v, u, dry=dry)
@@ -116,9 +102,10 @@ def fitted(
     whole = torch.stack(weights, 1)
     used = (whole != 0).any(1)
     used[0] = True
-    return Sparse(
+    found = Sparse(
         Products(products.index[used]), whole[used], mixed, coupling if implicit else None, dry
     )
+    return Continuous(found, TIME_STEP, SUBSTEPS)
 
 
 def repeated(powers: Tensor, n: int) -> Tensor:

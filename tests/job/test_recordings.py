@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.data.paths import content_of
 from symo_exp.errors import ConfigError
+from symo_exp.evaluation.references import Continuous
 from symo_exp.job.job import changed_recordings
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import job_of, jobs_of, refusal
@@ -45,7 +47,9 @@ def only(workplace) -> RunFolder:
 def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
     recordings, monkeypatch, capsys
 ):
-    monkeypatch.setattr("symo_exp.evaluation.references.SUBSTEPS", 1)
+    monkeypatch.setattr(
+        "symo_exp.evaluation.recordings.Continuous", partial(Continuous, substeps=1)
+    )
     assert main([*WORDS, "pictures=false"]) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if "verdict: " in line]
     assert "constant velocity" in said

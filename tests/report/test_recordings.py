@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 
 from symo_exp.evaluation.recordings import on_recordings
-from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.evaluation.references import ConstantVelocity, Continuous
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.report import recordings
 from symo_exp.report.motions import ranking
@@ -21,7 +22,9 @@ H = 0.02
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch):
-    monkeypatch.setattr("symo_exp.evaluation.references.SUBSTEPS", 1)
+    monkeypatch.setattr(
+        "symo_exp.evaluation.recordings.Continuous", partial(Continuous, substeps=1)
+    )
 
 
 def recorded(n: int, lost: bool = False, **more: object):

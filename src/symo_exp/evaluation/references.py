@@ -66,16 +66,18 @@ class Continuous:
 
     reference: Reference
     time_step: float
+    substeps: int = SUBSTEPS
+    space: Space = FLAT
 
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         """Return the motion from a start over as many nodes as ``u`` has."""
-        method, h = RK4(), self.time_step / SUBSTEPS
+        method, h = RK4(), self.time_step / self.substeps
         q, v = [q0], [v0]
         for before, after in zip(u[:, :-1].unbind(1), u[:, 1:].unbind(1), strict=True):
-            state, slope = (q[-1], v[-1]), (after - before) / SUBSTEPS
-            for i in range(SUBSTEPS):
+            state, slope = (q[-1], v[-1]), (after - before) / self.substeps
+            for i in range(self.substeps):
                 ends = before + i * slope, before + (i + 1) * slope
-                state = method.step(self.reference.acceleration, *state, *ends, h)
+                state = method.step(self.reference.acceleration, *state, *ends, h, self.space)
             q.append(state[0])
             v.append(state[1])
         return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
