@@ -277,7 +277,7 @@ def describe_job(
         own: Words that add the user's own configuration, for ``None``.
     """
     found = differences(settings, choices)
-    words = [*own, *found.alone()] if words is None else words
+    words = [*own, *found.words] if words is None else words
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]
@@ -286,7 +286,7 @@ def describe_job(
     return About(
         name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(settings.values, settings)),
-        variant=found.variant(),
+        variant=found.variant,
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: spelled(words)},
         recordings=recordings_of(settings.values),

@@ -21,39 +21,13 @@ CHOSEN = ("preset", "system", "model", "integrator")
 class Differences(NamedTuple):
     """Differences of a run from its preset, system, model and integrator."""
 
-    values: Settings
-    chosen: list[str]
-    """Its preset, system, model and integrator, as overrides."""
-    choices: list[str]
-    """Its other choices of files, as overrides."""
-    changed: list[str]
-    """Names of settings."""
-    told: list[str]
-    """Names of settings that tables have columns for, where they are not the usual ones."""
+    variant: str
+    """The preset and each choice and setting that is not its own.
 
-    def variant(self) -> str:
-        """Return the preset and each choice and setting that is not its own.
-
-        It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
-        """
-        values = dict(relevant(self.values.values))
-        preset = [c.removeprefix("preset=") for c in self.chosen if c.startswith("preset=")]
-        changed = [
-            f"{name}={f'{x:g}' if isinstance(x := values[name], float) else override_value(x)}"
-            for name in self.changed
-        ]
-        return ", ".join([*(p for p in preset if p != "default"), *self.choices, *changed])
-
-    def alone(self) -> list[str]:
-        """Return the overrides that repeat a run of a search without the search."""
-        code = ["code"] * (self.values.values["code"] is not None)
-        names = [*self.told, *self.changed, *code, "experiment"]
-        values = [(name, self.values.value(name)) for name in names]
-        words = [
-            f"{name}={text_value(x) if isinstance(x, str) else override_value(x)}"
-            for name, x in values
-        ]
-        return [*self.chosen, *self.choices, *words]
+    It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
+    """
+    words: list[str]
+    """Overrides that repeat a run of a search without the search."""
 
 
 def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
@@ -64,13 +38,24 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     others = [f"{g}={c}" for g, c in sorted(groups.items() - usual.items()) if g not in INCIDENTAL]
     _, files = _shipped(*chosen, *others)
     theirs = dict(relevant(files)) | {n: settings.value(other) for n, other in references(files)}
+    ours = dict(relevant(settings.values))
     different = [
         name
-        for name, value in sorted(relevant(settings.values))
-        if theirs.get(name, "nothing") != value and not settings.is_reference(name)
+        for name in sorted(ours)
+        if theirs.get(name, "nothing") != ours[name] and not settings.is_reference(name)
     ]
-    told = [name for name in different if name in TOLD]
-    return Differences(settings, chosen, others, [n for n in different if n not in TOLD], told)
+    changed = [name for name in different if name not in TOLD]
+    preset = groups.get("preset", "default")
+    variant = [preset] * (preset != "default") + others
+    variant += [
+        f"{name}={f'{x:g}' if isinstance(x := ours[name], float) else override_value(x)}"
+        for name in changed
+    ]
+    code = ["code"] * (settings.values["code"] is not None)
+    names = [*(n for n in different if n in TOLD), *changed, *code, "experiment"]
+    values = ((name, settings.value(name)) for name in names)
+    words = [f"{n}={text_value(x) if isinstance(x, str) else override_value(x)}" for n, x in values]
+    return Differences(", ".join(variant), [*chosen, *others, *words])
 
 
 def _shipped(*choices: str) -> tuple[dict[str, Any], dict[str, Any]]:
