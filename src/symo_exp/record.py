@@ -18,6 +18,8 @@ from symo_exp.shell import override_value, python_command
 from symo_exp.words import counted
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from symo_exp.systems.base import System
 
 Policy = Callable[[np.ndarray], np.ndarray]
@@ -26,15 +28,6 @@ Policy = Callable[[np.ndarray], np.ndarray]
 
 SHORT, FEW = 1.0, 20
 """Length [s] and number of nodes that the median episode needs at least to be learned from."""
-
-
-class Episode(NamedTuple):
-    """Nodes of one episode; an input is held from its node to the next, the last is repeated."""
-
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    u: np.ndarray
 
 
 class Plant(NamedTuple):
@@ -95,13 +88,18 @@ def main(argv: Sequence[str]) -> int:
         ]
     finally:
         env.close()
-    write_episodes(options.out, plant, episodes)
-    print(_told(options.out, plant, episodes))
+    table = write_episodes(options.out, episodes)
+    print(_told(options.out, plant.system, table))
     return 0
 
 
-def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> Episode:
-    """Return one episode, until it ends by itself or after ``steps`` steps."""
+def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> pd.DataFrame:
+    """Return one episode, until it ends by itself or after ``steps`` steps.
+
+    It has a row for each node. An input is held from its node to the next, the last is repeated.
+    """
+    import pandas as pd
+
     observation, _ = env.reset(seed=seed)
     nodes, inputs = [plant.now()], []
     for _ in range(steps):
@@ -119,28 +117,23 @@ def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int
         if terminated or truncated:
             break
     t, q, v = (np.array(field) for field in zip(*nodes, strict=True))
-    return Episode(t - t[0], q, v, np.array([*inputs, inputs[-1]]))
+    coordinates = plant.system.coordinates.names
+    named = ("q", coordinates), ("v", coordinates), ("u", plant.system.inputs)
+    columns = ["t", *(f"{kind}_{name}" for kind, names in named for name in names)]
+    return pd.DataFrame(np.column_stack([t - t[0], q, v, [*inputs, inputs[-1]]]), columns=columns)
 
 
-def write_episodes(path: Path, plant: Plant, episodes: Sequence[Episode]) -> None:
-    """Write episodes as a table of recordings (docs/recordings.md)."""
+def write_episodes(path: Path, episodes: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Write episodes as a table of recordings (docs/recordings.md) and return it."""
     import pandas as pd
 
-    coordinates, parts = plant.system.coordinates.names, []
-    for k, episode in enumerate(episodes):
-        columns: dict[str, Any] = {"trajectory": k, "t": episode.t}
-        for kind, names in (
-            ("q", coordinates),
-            ("v", coordinates),
-            ("u", plant.system.inputs),
-        ):
-            values = getattr(episode, kind)
-            columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
-        parts.append(pd.DataFrame(columns))
+    parts = [episode.assign(trajectory=k) for k, episode in enumerate(episodes)]
+    table = pd.concat(parts)[["trajectory", *episodes[0]]]
     try:
-        write_frame(path, pd.concat(parts))
+        write_frame(path, table)
     except OSError as error:
         raise ConfigError(f"--out {path} cannot be written ({error.strerror or error})") from None
+    return table
 
 
 def _made(name: str) -> Any:
@@ -211,15 +204,15 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
     return made
 
 
-def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
+def _told(path: Path, system: System, table: pd.DataFrame) -> str:
     """Return a summary of the recording and the command that learns from it."""
-    h = float(np.median(np.concatenate([np.diff(episode.t) for episode in episodes])))
-    names, turns = plant.system.coordinates.names, plant.system.coordinates.angular
+    times = table.groupby("trajectory").t
+    h, sizes = float(times.diff().median()), times.size()
+    names, turns = system.coordinates.names, system.coordinates.angular
     angles = list(itertools.compress(names, turns))
     angular = {0: "none", len(names): "all"}.get(len(angles), f"[{','.join(angles)}]")
-    matrix = str(plant.system.input_matrix.tolist()).replace(" ", "")
-    rows = sum(len(episode.t) for episode in episodes)
-    nodes = int(np.median([len(episode.t) for episode in episodes]))
+    matrix = str(system.input_matrix.tolist()).replace(" ", "")
+    nodes = int(sizes.median())
     short = nodes < FEW or (nodes - 1) * h < SHORT
     warning = (
         f"warning: the median episode has {nodes} nodes ({(nodes - 1) * h:.2g} s), too short to "
@@ -227,7 +220,7 @@ def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
         "that keeps the environment from ending the episode\n"
     )
     return (
-        f"{path}: {counted(len(episodes), 'trajectory')}, {rows} rows, a node every {h:g} s\n"
+        f"{path}: {counted(len(sizes), 'trajectory')}, {len(table)} rows, a node every {h:g} s\n"
         + warning * short
         + python_command(
             "symo_exp", "data=recorded", f"data.path={override_value(path)}", "system=recorded",
