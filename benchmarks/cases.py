@@ -108,9 +108,9 @@ def layers_of(parameters: Iterable[Tensor]) -> list[Layer]:
     return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
 
 
-def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
+def initial_weights(case: Case, method: str) -> list[Layer]:
     """Xavier-uniform with tanh gain, zero biases: where the text of the thesis starts."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     sizes = case.layer_sizes(method)
     layers = []
     for fan_in, fan_out in pairwise(sizes):
@@ -120,15 +120,13 @@ def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
     return layers
 
 
-def random_windows(
-    case: Case, count: int, seed: int = 0, *, hold_input: bool = True, acceleration: float = 3.0
-) -> Windows:
-    """Plausible windows: parabolic motion through random states, |v'| up to `acceleration`.
+def random_windows(case: Case, count: int, *, hold_input: bool = True) -> Windows:
+    """Plausible windows: parabolic motion through random states, |v'| up to 3.
 
     With `hold_input` the input is constant over a window, as in the protocol; without it, three
     independent inputs (which tell apart their weights in the discrete force).
     """
-    generator = torch.Generator().manual_seed(seed + 1)
+    generator = torch.Generator().manual_seed(1)
 
     def uniform(columns: int, bound: float) -> Tensor:
         return (
@@ -138,19 +136,19 @@ def random_windows(
     h = case.time_step
     position_bound = torch.tensor([math.pi if a else 0.5 for a in case.angular])
     q = uniform(case.n, 1.0) * position_bound
-    v, a = uniform(case.n, case.speed), uniform(case.n, acceleration)
+    v, a = uniform(case.n, case.speed), uniform(case.n, 3.0)
     inputs = [uniform(case.n_inputs, 2.0) for _ in range(3)]
     if hold_input:
         inputs = inputs[:1] * 3
     return Windows(q - h * v + h**2 / 2 * a, q, q + h * v + h**2 / 2 * a, v, v + h * a, *inputs)
 
 
-def calm_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
+def calm_weights(case: Case, method: str) -> list[Layer]:
     """Initial weights with the output layer a tenth and the diagonal of L near 1.3.
 
     Then H is well conditioned for any number of coordinates, and every root is found.
     """
-    *hidden, last = initial_weights(case, method, seed)
+    *hidden, last = initial_weights(case, method)
     bias = last.bias.clone()
     if method != "node":
         bias[: case.n] = 1.0
@@ -158,10 +156,10 @@ def calm_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
 
 
 @cache
-def system_windows(name: str, count: int, seed: int = 0) -> Windows:
+def system_windows(name: str, count: int) -> Windows:
     """Shuffled windows of simulated trajectories, 34 nodes each, the input held along each."""
     system = SYSTEMS[name]
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     trajectories = max(16, -(-count // 32))
 
     def start(box: tuple[tuple[float, float], ...]) -> Tensor:

@@ -182,9 +182,9 @@ def trained_weights(name: str, method: str) -> list[Layer]:
 
 
 @cache
-def _trained_lagrangian(name: str, seed: int = 0, steps: int = 2000) -> list[Layer]:
+def _trained_lagrangian(name: str, steps: int = 2000) -> list[Layer]:
     case = CASES[name]
-    contender = Project("e2e_symo", case, calm_weights(case, "e2e_symo", seed), lr=2e-3)
+    contender = Project("e2e_symo", case, calm_weights(case, "e2e_symo"), lr=2e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(contender.optimizer, steps)
     windows = contender.prepare(system_windows(name, TRAINING_ROWS))
     for step in range(steps):
