@@ -14,6 +14,7 @@ from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Ends
 from symo_exp.mechanics.roots import relative
+from symo_exp.mechanics.rows import take_rows
 from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
 from symo_exp.models.flows import Flow, chained
@@ -139,7 +140,7 @@ class HorizonError(Objective):
         values = found.values()
         kept = found.follows.nonzero().squeeze(-1)
         if torch.is_grad_enabled() and len(kept):
-            values = values.index_copy(0, kept, self._backwards(flow, found.rows(kept)))
+            values = values.index_copy(0, kept, self._backwards(flow, take_rows(found, kept)))
         return Residuals(values, {"lost": (~found.follows).double().mean()})
 
     @override
@@ -151,7 +152,7 @@ class HorizonError(Objective):
         size = sum(p.numel() for p in parameters)
         jacobian = values.new_zeros(*values.shape, size)
         for kept in found.follows.nonzero().squeeze(-1).split(max(1, ROWS // self.horizon)):
-            by_start, by_theta = _forwards(flow, found.rows(kept), parameters)
+            by_start, by_theta = _forwards(flow, take_rows(found, kept), parameters)
             jacobian[kept] = by_theta - _projected(by_start, by_theta)
         return Linearised(values, jacobian, ())
 
@@ -185,11 +186,6 @@ class _Fitted(NamedTuple):
     def values(self) -> Float[Tensor, "stretches errors"]:
         """Return the residuals ``√w (q̂ − q)``."""
         return (self.root * self.errors).flatten(1)
-
-    def rows(self, index: Tensor) -> _Fitted:
-        """Return the given stretches."""
-        start = State(self.start.q[index], self.start.v[index])
-        return _Fitted(start, *(x[index] for x in self[1:]))
 
 
 @torch.no_grad()

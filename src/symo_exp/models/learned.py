@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -19,30 +19,20 @@ from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 
 ROUNDING = 1e-5
 """Relative differences that are due to single precision."""
+Part = TypeVar("Part", covariant=True)
 
 
 @runtime_checkable
-class MakesLagrangian(Protocol):
-    """A factory of Lagrangians to be learned (``conf/lagrangian``)."""
+class Makes(Protocol[Part]):
+    """A factory: ``conf/lagrangian``, ``conf/dissipation`` or ``conf/springs``."""
 
-    def __call__(self, *, coordinates: Coordinates) -> Lagrangian:
-        """Return a new Lagrangian of these coordinates."""
-
-
-@runtime_checkable
-class MakesDissipation(Protocol):
-    """A factory of dissipations to be learned (``conf/dissipation``)."""
-
-    def __call__(self, *, coordinates: Coordinates) -> Dissipation:
-        """Return a new dissipation of these coordinates."""
+    def __call__(self, *, coordinates: Coordinates) -> Part:
+        """Return a new one for these coordinates."""
 
 
-@runtime_checkable
-class MakesSprings(Protocol):
-    """A factory of springs to be learned (``conf/springs``)."""
-
-    def __call__(self, *, coordinates: Coordinates) -> LinearSprings:
-        """Return new springs of these coordinates."""
+MakesLagrangian = Makes[Lagrangian]
+MakesDissipation = Makes[Dissipation]
+MakesSprings = Makes[LinearSprings]
 
 
 def learned_lagrangian(
