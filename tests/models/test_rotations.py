@@ -11,7 +11,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Coordinates, Stretches
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.flows import ExplicitFlow
@@ -24,6 +24,7 @@ from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system as stated
 from symo_exp.use.environments import environment
+from tests.models.test_horizon import assert_gradient, motions
 from tests.tables import arguments_of
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
@@ -171,23 +172,11 @@ def learned(kind: str, free: bool) -> DynamicsModel:
     ).double()  # fmt: skip
 
 
-def stretches_of(model: DynamicsModel, noise: float) -> Stretches:
-    """Motions of a model under smooth inputs, with noise."""
-    generator = torch.Generator().manual_seed(7)
-    space, n = model.flow.space, model.coordinates.n
-    x, v = torch.randn(2, 3, n, dtype=torch.float64, generator=generator)
-    u = torch.randn(3, 5, 1, dtype=torch.float64, generator=generator)
-    path = model.rollout(space.of_vector(x), v, u)
-    moved = torch.randn(path.v.shape, dtype=torch.float64, generator=generator)
-    unknown = torch.full((3, 2 * n), torch.nan, dtype=torch.float64)
-    return Stretches(space.retract(path.q, noise * moved), u, unknown, 0.2 + moved.abs())
-
-
 @pytest.mark.parametrize("free", [False, True], ids=["pivot", "free"])
 @pytest.mark.parametrize("kind", ["explicit", "variational"])
 def test_the_error_over_many_steps_vanishes_at_the_truth(kind: str, free: bool) -> None:
     model = learned(kind, free)
-    residuals = HorizonError(horizon=4)(model.flow, stretches_of(model, 0.0))
+    residuals = HorizonError(horizon=4)(model.flow, motions(model))
     assert float(residuals.values.detach().abs().max()) < 1e-9
 
 
@@ -196,20 +185,5 @@ def test_the_error_over_many_steps_vanishes_at_the_truth(kind: str, free: bool) 
 )
 @pytest.mark.parametrize("kind", ["explicit", "variational"])
 def test_gradients_over_many_steps_are_those_of_the_loss_with_noise(kind: str, free: bool) -> None:
-    """Backwards, forwards as ``Jᵀr``, and as a difference."""
-    model, objective, size = learned(kind, free), HorizonError(horizon=4), 1e-5
-    samples, parameters = stretches_of(model, 0.02), list(model.parameters())
-    gradient = torch.autograd.grad(objective(model.flow, samples).loss, parameters)
-    flat = torch.cat([g.flatten() for g in gradient])
-    found = objective.linearised(model.flow, samples, parameters)
-    forwards = 2.0 * (found.parameters.flatten(0, 1).T @ found.residuals.flatten())
-    torch.testing.assert_close(
-        forwards / found.residuals.numel(), flat, rtol=1e-6, atol=1e-8 * float(flat.abs().max())
-    )
-    ends = []
-    for sign in (1.0, -2.0):
-        with torch.no_grad():
-            for p, g in zip(parameters, gradient, strict=True):
-                p += sign * size * g / flat.norm()
-            ends.append(objective(model.flow, samples).loss)
-    assert float(flat.norm()) == pytest.approx(float(ends[0] - ends[1]) / (2 * size), rel=1e-2)
+    model = learned(kind, free)
+    assert_gradient(model, motions(model, noise=0.02))
