@@ -132,27 +132,6 @@ class LevenbergMarquardt(EpochOptimizer):
         count = -(-EQUATIONS * len(self.flat()) // per_sample)
         return samples.rows(slice(None, None, max(1, len(samples.q) // count)))
 
-    def linearised(
-        self, model: Equations, samples: TrainingSamples
-    ) -> tuple[DampedSystem, Float[Tensor, " equations"] | None]:
-        """Return the residuals, their derivatives at the parameters in place, and their factors."""
-        with torch.no_grad():
-            per_sample = model.residuals(samples.rows(slice(1))).shape[1]
-        self.require_memory(len(samples.q) * per_sample, copies=2)
-        pieces = [model.linearised(rows, self.parameters) for rows in _chunks(samples)]
-        residuals = torch.cat([piece.residuals.flatten() for piece in pieces])
-        jacobians = [piece.parameters.flatten(0, 1) for piece in pieces]
-        if self.huber is None:
-            return DampedSystem(residuals, jacobians), None
-        length = residuals.view(len(samples.q), -1).norm(dim=1)
-        factors = weights_beyond(self.huber * median_of_rows(length), length).sqrt()
-        factors = factors.repeat_interleave(per_sample)
-        for jacobian, part in zip(
-            jacobians, factors.split([len(j) for j in jacobians]), strict=True
-        ):
-            jacobian.mul_(part.unsqueeze(-1))
-        return DampedSystem(factors * residuals, jacobians), factors
-
 
 class _Trials(Descent):
     """Trials of one step."""
@@ -160,10 +139,25 @@ class _Trials(Descent):
     def __init__(
         self, owner: LevenbergMarquardt, model: Equations, samples: TrainingSamples
     ) -> None:
-        self.system, self._factors = owner.linearised(model, samples)
         self.start = owner.flat()
         self._owner, self._model, self._samples = owner, model, samples
         self._growth = 2.0
+        self._factors: Float[Tensor, " equations"] | None = None
+        with torch.no_grad():
+            per_sample = model.residuals(samples.rows(slice(1))).shape[1]
+        owner.require_memory(len(samples.q) * per_sample, copies=2)
+        pieces = [model.linearised(rows, owner.parameters) for rows in _chunks(samples)]
+        residuals = torch.cat([piece.residuals.flatten() for piece in pieces])
+        jacobians = [piece.parameters.flatten(0, 1) for piece in pieces]
+        if owner.huber is not None:
+            length = residuals.view(len(samples.q), -1).norm(dim=1)
+            factors = weights_beyond(owner.huber * median_of_rows(length), length).sqrt()
+            self._factors = factors.repeat_interleave(per_sample)
+            residuals = self._factors * residuals
+            parts = self._factors.split([len(j) for j in jacobians])
+            for jacobian, part in zip(jacobians, parts, strict=True):
+                jacobian.mul_(part.unsqueeze(-1))
+        self.system = DampedSystem(residuals, jacobians)
         super().__init__(float(self.system.r @ self.system.r), shortest=owner.shortest)
 
     @override

@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from symo_exp.mechanics.types import Trajectory
-from symo_exp.optim.banded import BandFactor, Chain, WindowResiduals
+from symo_exp.optim.banded import Chain, WindowResiduals
 
 ITERATIONS = 15
 """Steps that put the nodes where the model has them, at most."""
@@ -131,9 +131,25 @@ def posterior(
     own, variance = _likeliest(chain, by_x, e)
     variance *= count / max(count - size, 0.1 * count)
     alpha = torch.zeros(size, dtype=torch.float64) if precision is None else precision
-    mean = torch.cat([p.detach().flatten() for p in parameters])
     factor = None if epsilon is None else chain.factor(by_x, epsilon**2)
-    return _of_estimate(chain, by_x, by_theta, factor, own, variance, alpha, mean)
+    # the sandwich, along the singular vectors of the weighted derivatives
+    flat = by_theta.flatten(0, 1)
+    white = flat if factor is None else factor.whiten(by_theta)
+    prior = torch.diag((variance * alpha).sqrt())
+    basis, _ = _directions(torch.cat((white, prior)))
+    _, free = _directions(white)  # whatever the prior says
+    moved = (flat @ basis).T.unflatten(1, by_theta.shape[:2])
+    pulled = moved if factor is None else torch.stack([factor.solve(column) for column in moved])
+    spread = torch.stack([chain.spread(by_x, column).flatten() for column in pulled])
+    columns = pulled.flatten(1)
+    meat = variance * (spread @ spread.T + own * columns @ columns.T)
+    meat = meat + variance**2 * basis.T @ (alpha.unsqueeze(1) * basis)
+    stretch, turn = torch.linalg.eigh(0.5 * (meat + meat.T))
+    directions = basis @ turn * stretch.clamp_min(0.0).sqrt()
+    by_data = (1.0 - variance * alpha * basis.square().sum(1)).clamp(0.0, 1.0)
+    noise = variance**0.5
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    return Posterior(mean, directions, free, noise, own**0.5 * noise, len(flat), by_data)
 
 
 def _settled(
@@ -187,14 +203,18 @@ def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, 
     return own, variance
 
 
-def _without_information(white: Float[Tensor, "rows p"]) -> Float[Tensor, "p f"]:
-    """Return orthonormal directions that do not change the residuals, whatever the prior says."""
-    upper = torch.linalg.qr(white, mode="r")[1]
+def _directions(rows: Float[Tensor, "rows p"]) -> tuple[Tensor, Tensor]:
+    """Return directions with independent effects of size one on the rows, and those without any.
+
+    The latter are orthonormal.
+    """
+    upper = torch.linalg.qr(rows, mode="r")[1]
     scale = _sizes(upper)
-    _, values, right = torch.linalg.svd(upper / scale, full_matrices=True)
-    least = SINGULAR * values.amax().clamp_min(1e-300)
-    free = right[int((values > least).sum()) :].T / scale.unsqueeze(1)
-    return torch.linalg.qr(free)[0] if free.shape[1] else free
+    _, values, right = torch.linalg.svd(upper / scale)
+    there = values > SINGULAR * values.amax().clamp_min(1e-300)
+    basis = right[: len(values)][there].T / values[there] / scale.unsqueeze(1)
+    free = right[int(there.sum()) :].T / scale.unsqueeze(1)
+    return basis, torch.linalg.qr(free)[0] if free.shape[1] else free
 
 
 def _sizes(columns: Float[Tensor, "rows p"]) -> Float[Tensor, " p"]:
@@ -202,36 +222,3 @@ def _sizes(columns: Float[Tensor, "rows p"]) -> Float[Tensor, " p"]:
     size = columns.norm(dim=0)
     largest = size.amax()
     return torch.where(size > TINY * largest, size, largest if largest > 0.0 else 1.0)
-
-
-def _of_estimate(
-    chain: Chain,
-    by_x: Sequence[Tensor],
-    by_theta: Float[Tensor, "windows k p"],
-    factor: BandFactor | None,
-    own: float,
-    variance: float,
-    alpha: Float[Tensor, " p"],
-    mean: Float[Tensor, " p"],
-) -> Posterior:
-    """Return the sandwich, along the singular vectors of the weighted derivatives."""
-    flat = by_theta.flatten(0, 1)
-    white = flat if factor is None else factor.whiten(by_theta)
-    prior = torch.diag((variance * alpha).sqrt())
-    upper = torch.linalg.qr(torch.cat((white, prior)), mode="r")[1]
-    scale = _sizes(upper)
-    _, values, right = torch.linalg.svd(upper / scale)
-    there = values > SINGULAR * values.amax().clamp_min(1e-300)
-    basis = right[there].T / values[there] / scale.unsqueeze(1)
-    free = _without_information(white)
-    moved = (flat @ basis).T.unflatten(1, by_theta.shape[:2])
-    pulled = moved if factor is None else torch.stack([factor.solve(column) for column in moved])
-    spread = torch.stack([chain.spread(by_x, column).flatten() for column in pulled])
-    columns = pulled.flatten(1)
-    meat = variance * (spread @ spread.T + own * columns @ columns.T)
-    meat = meat + variance**2 * basis.T @ (alpha.unsqueeze(1) * basis)
-    stretch, turn = torch.linalg.eigh(0.5 * (meat + meat.T))
-    directions = basis @ turn * stretch.clamp_min(0.0).sqrt()
-    by_data = (1.0 - variance * alpha * basis.square().sum(1)).clamp(0.0, 1.0)
-    noise = variance**0.5
-    return Posterior(mean, directions, free, noise, own**0.5 * noise, len(flat), by_data)
