@@ -18,6 +18,7 @@ from symo_exp.evaluation.horizon import (
     predict,
     steps_in,
 )  # fmt: skip
+from symo_exp.mechanics.rows import take_rows
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import (
@@ -73,7 +74,7 @@ def widened(
     if windows is None:
         return ModelPosterior(posterior)
     if len(windows.q) > WINDOWS:
-        windows = _rows(windows, torch.linspace(0, len(windows.q) - 1, WINDOWS).round().long())
+        windows = take_rows(windows, torch.linspace(0, len(windows.q) - 1, WINDOWS).round().long())
     own = _predicted(model, windows)
     rolled = _rolled(model, own)
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
@@ -92,7 +93,7 @@ def _by_each_model(recordings: Sequence[Predicted], own: Predictions) -> Tensor:
     for k, one in enumerate(recordings):
         rows = group[own.windows.trajectory] == k
         if one.model is not None and bool(rows.any()):
-            q[rows] = _predicted(one.model, _rows(own.windows, rows)).q
+            q[rows] = _predicted(one.model, take_rows(own.windows, rows)).q
     return q
 
 
@@ -144,11 +145,6 @@ def _quantile(
     for k in range(1, len(found)):
         found[k] = found[k].where(found[k].isfinite(), found[k - 1])
     return found.nan_to_num(0.0, 0.0)
-
-
-def _rows(windows: PredictionWindows, rows: Tensor) -> PredictionWindows:
-    trajectory, first, lead, *fields = windows
-    return PredictionWindows(trajectory[rows], first[rows], lead, *(x[rows] for x in fields))
 
 
 def _predicted(model: DynamicsModel, windows: PredictionWindows) -> Predictions:
