@@ -50,7 +50,7 @@ class Header(NamedTuple):
     names: tuple[str, ...]
     seconds: float | None
     notes: tuple[str, ...]
-    given: tuple[tuple[str, str | None], ...] = ()
+    given: tuple[tuple[str, str | None], ...]
 
 
 def header(path: Location, columns: Columns | None = None) -> list[str]:

@@ -72,7 +72,7 @@ class RecordingTable(NamedTuple):
     """
 
     recordings: tuple[Recording, ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 def read_recordings(
@@ -162,8 +162,8 @@ def _read(
         table = table_of(file)
         table.columns = pd.Index(head.names)
     for column in {"trajectory", "split"} & set(table):
-        if table[column].dtype == object:  # Parquet may have lists
-            table[column] = table[column].map(str, na_action="ignore")
+        if table[column].dtype.kind == "O":  # lists of Parquet, and categories without rows
+            table[column] = table[column].map(str, na_action="ignore").astype(object)
     notes: list[str] = []
     if sample_time is not None:
         table["t"], seconds = sample_time * numbers_of_rows(table), 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -27,8 +28,7 @@ def by_trajectory(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the rows of each trajectory, by its name."""
     if "trajectory" not in table:
         return [("", table)]
-    names = table["trajectory"].map(str, na_action="ignore").astype(object)
-    return list(table.groupby(names, sort=False))
+    return [(str(name), rows) for name, rows in table.groupby("trajectory", sort=False)]
 
 
 def numbers_of_rows(table: pd.DataFrame) -> np.ndarray:
@@ -50,17 +50,16 @@ def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     if "trajectory" in table:
         return table
     t = table["t"].to_numpy()
-    starts = np.flatnonzero(np.diff(t) < 0) + 1
-    pieces = list(zip([0, *starts], [*starts, len(t)], strict=True))
-    if len(starts) == 0 or len(starts) > len(t) / 4:
+    back = np.diff(t) < 0
+    if not 0 < back.sum() <= len(t) / 4:
         return table  # in order, or in no order at all
-    if any(t[last] > 0.5 * (t[first] + t[last - 1]) for first, last in pieces[:-1]):
+    pieces = np.split(t, np.flatnonzero(back) + 1)
+    if any(after[0] > 0.5 * (one[0] + one[-1]) for one, after in itertools.pairwise(pieces)):
         return table
-    if min(last - first for first, last in pieces) < NODES:
+    if min(map(len, pieces)) < NODES:
         return table  # rows in another order
-    notes.append(f"times start anew {counted(len(starts), 'time')}: {len(pieces)} recordings")
-    numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
-    return table.assign(trajectory=numbers)
+    notes.append(f"times start anew {counted(back.sum(), 'time')}: {len(pieces)} recordings")
+    return table.assign(trajectory=1 + np.append(0, np.cumsum(back)))
 
 
 def check_order(where: str, table: pd.DataFrame) -> None:
@@ -168,13 +167,12 @@ def split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str])
     sudden = speed > LEAP * np.maximum(beside[:-2], beside[2:])
     most = np.where(sudden, 0.0, speed).max(axis=0)
     leaps = (sudden & (speed > LEAP * most) & (most > 0.0)).any(axis=1)
-    starts = np.flatnonzero(leaps) + 1
-    lengths = np.diff([0, *starts, len(rows)])
-    if not len(starts) or lengths.min() < FEW_ROWS:
+    last = np.flatnonzero(leaps)
+    if not len(last) or np.diff([-1, *last, len(leaps)]).min() < FEW_ROWS:
         return table
     notes.append(
-        f"positions leap {counted(len(starts), 'time')}, first after "
-        f"t={rows['t'].iloc[starts[0] - 1]:.6g}: "
-        f"{len(lengths)} recordings (a column trajectory says otherwise)"
+        f"positions leap {counted(len(last), 'time')}, first after "
+        f"t={rows['t'].iloc[last[0]]:.6g}: {len(last) + 1} recordings (a column trajectory says "
+        "otherwise)"
     )
-    return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))
+    return rows.assign(trajectory=1 + np.append(0, np.cumsum(leaps)))
