@@ -51,7 +51,7 @@ class Solver:
         start: Float[np.ndarray, "batch states"],
         nodes: int,
         h: float,
-        settle: Settle | None = None,
+        settle: Settle,
     ) -> Float[np.ndarray, "nodes batch states"]:
         """Return the states at every node.
 
@@ -69,7 +69,7 @@ class Solver:
         states[0], step = start, None
         for k in range(nodes - 1):
             reached, step = self._advance(slope, k, states[k], h, step)
-            states[k + 1] = reached if settle is None else settle(reached)
+            states[k + 1] = settle(reached)
         return states
 
     def _advance(
@@ -135,7 +135,6 @@ def simulate(
         return torch.cat([space.normalised(q), v], dim=1).numpy()
 
     start = torch.cat([q0, v0], dim=1).double().numpy()
-    put_back = settle if space.rotations else None
-    states = solver.integrate(slope, start, controls.shape[1], h, put_back)
+    states = solver.integrate(slope, start, controls.shape[1], h, settle)
     q, v = torch.from_numpy(states).transpose(0, 1).split(widths, dim=2)
     return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())
