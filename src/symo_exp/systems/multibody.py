@@ -27,6 +27,7 @@ from symo_exp.mechanics.bodies import (
     joint_order,
     of_pseudo_inertia,
     pseudo_inertia,
+    vector,
 )
 from symo_exp.mechanics.composites import BodiesExpansion, Composites
 from symo_exp.mechanics.dissipation import Dissipation
@@ -139,14 +140,14 @@ class Multibody(LagrangianSystem):
     @override
     def linkage(self) -> Linkage:
         names = ("mass", "centre", "inertia", "armature", "stiffness")
-        rows = zip(*(x.tolist() for x in self._numbers[:5]), strict=True)
+        *numbers, _, gravity = self._numbers
+        rows = zip(*(x.tolist() for x in numbers), strict=True)
         joints = tuple(
             joint._replace(**dict(zip(names, row, strict=True)))
             for joint, row in zip(self.joints, rows, strict=True)
         )
-        x, y, z = self._numbers[6].tolist()
         free = [(int(i), int(k)) for i, k in self.mechanism.get("free", ())]
-        return Linkage(joints, (x, y, z), torch.eye(self.coordinates.n).double(), free)
+        return Linkage(joints, vector(gravity), torch.eye(self.coordinates.n).double(), free)
 
     @property
     def constants(self) -> Mapping[str, Constant]:
