@@ -93,11 +93,10 @@ class Composites(Rowwise):
         bodies: Float[Tensor, "batch n 4 4"],
         rotors: Float[Tensor, "batch n"],
         gravity: Float[Tensor, "batch 3"],
-        pushed: Float[Tensor, "batch n 3 4"] | None = None,
     ) -> None:
         self.order, self.twists, self.bodies = order, twists, bodies
         self.rotors, self.gravity = rotors, gravity
-        self.pushed = twists @ order.outwards(bodies) if pushed is None else pushed
+        self.pushed = twists @ order.outwards(bodies)
         """``Ξᵢ Cᵢ``."""
 
     def mass(self) -> Float[Tensor, "batch n n"]:
@@ -166,7 +165,7 @@ class BodiesExpansion(Expansion):
         springs: Forces and stiffness of springs of the joints, (batch, n) each.
     """
 
-    parts = ("_lagrangian", "_at", "_motion", "_v", "_springs")
+    parts = ("_lagrangian", "_at", "_motion", "_springs", "values")
 
     def __init__(
         self,
@@ -176,8 +175,7 @@ class BodiesExpansion(Expansion):
         v: Float[Tensor, "batch n"],
         springs: tuple[Tensor, Tensor] | None = None,
     ) -> None:
-        self._lagrangian, self._at, self._motion, self._v = lagrangian, at, motion, v
-        self._springs = springs
+        self._lagrangian, self._at, self._motion, self._springs = lagrangian, at, motion, springs
         with torch.no_grad():
             self.values = at.gradients(v, motion)
             if springs is not None:

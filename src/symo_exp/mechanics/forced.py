@@ -75,22 +75,14 @@ class ForcedExpansion(Expansion):
         at: The Lagrangian without it, expanded.
         q: Configurations.
         v: Velocities.
-        values: Gradients at the point, if known already.
     """
 
     parts = ("lagrangian", "at", "q", "v", "values")
 
-    def __init__(
-        self,
-        lagrangian: ForcedLagrangian,
-        at: Expansion,
-        q: Tensor,
-        v: Tensor,
-        values: Gradients | None = None,
-    ) -> None:
+    def __init__(self, lagrangian: ForcedLagrangian, at: Expansion, q: Tensor, v: Tensor) -> None:
         self.lagrangian, self.at, self.q, self.v = lagrangian, at, q, v
         with torch.no_grad():
-            self.values = self._with_force(at.values, q, v) if values is None else values
+            self.values = self._with_force(at.values, q, v)
 
     def _with_force(self, gradients: Gradients, q: Tensor, v: Tensor) -> Gradients:
         return Gradients(gradients.q + self.lagrangian.further_force(q, v), gradients.v)

@@ -195,23 +195,15 @@ class AutodiffExpansion(Expansion):
         lagrangian: ``ℒ``.
         q: Configurations.
         v: Velocities.
-        values: Gradients at the point, if known already.
-        mass: ``H`` at the point, if known already.
     """
 
-    parts = ("_lagrangian", "_q", "_v", "values", "_mass")
+    parts = ("_lagrangian", "_q", "_v", "_mass", "values")
 
-    def __init__(
-        self,
-        lagrangian: Lagrangian,
-        q: Tensor,
-        v: Tensor,
-        values: Gradients | None = None,
-        mass: Tensor | None = None,
-    ) -> None:
-        self._lagrangian, self._q, self._v, self._mass = lagrangian, q, v, mass
+    def __init__(self, lagrangian: Lagrangian, q: Tensor, v: Tensor) -> None:
+        self._lagrangian, self._q, self._v = lagrangian, q, v
+        self._mass: Tensor | None = None
         with torch.no_grad():
-            self.values = lagrangian.gradients(q, v) if values is None else values
+            self.values = lagrangian.gradients(q, v)
 
     @override
     def mass(self) -> Tensor:

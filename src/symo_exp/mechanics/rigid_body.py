@@ -128,18 +128,15 @@ class RigidBodyExpansion(Expansion):
         lagrangian: ``ℒ``.
         q: Configurations.
         v: Velocities.
-        values: Gradients at the point, if known already.
     """
 
     parts = ("_lagrangian", "_q", "_v", "values")
     _lagrangian: RigidBodyLagrangian
 
-    def __init__(
-        self, lagrangian: RigidBodyLagrangian, q: Tensor, v: Tensor, values: Gradients | None = None
-    ) -> None:
+    def __init__(self, lagrangian: RigidBodyLagrangian, q: Tensor, v: Tensor) -> None:
         self._lagrangian, self._q, self._v = lagrangian, q, v
         with torch.no_grad():
-            self.values = lagrangian.gradients(q, v, self._body) if values is None else values
+            self.values = lagrangian.gradients(q, v, self._body)
 
     @cached_property
     @torch.no_grad()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -14,21 +14,26 @@ from typing_extensions import Self
 class Rowwise:
     """Base class of objects that can be taken apart and put together row by row.
 
-    A dataclass consists of its fields. The constructor of another class must accept the attributes
-    named in ``parts``, in order. Tensors among them, nested tuples of tensors and other ``Rowwise``
-    objects have a row for each sample; everything else is shared.
+    They consist of the attributes named in ``parts``, those of a dataclass of its fields. Tensors
+    among them, nested tuples of tensors and other ``Rowwise`` objects have a row for each sample;
+    everything else is shared. Other attributes, such as cached properties, are not copied.
     """
 
     parts: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, index: Tensor) -> Self:
         """Return the given rows."""
-        return type(self)(*[take_rows(getattr(self, name), index) for name in self._names()])
+        return self._of(take_rows(getattr(self, name), index) for name in self._names())
 
     def replace(self, index: Tensor, other: Self) -> Self:
         """Return this object with the given rows taken from ``other``."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in self._names()]
-        return type(self)(*[put_rows(mine, index, new) for mine, new in pairs])
+        return self._of(put_rows(mine, index, new) for mine, new in pairs)
+
+    def _of(self, values: Iterable[Any]) -> Self:
+        found = object.__new__(type(self))
+        vars(found).update(zip(self._names(), values, strict=True))
+        return found
 
     def _names(self) -> tuple[str, ...]:
         return self.parts or tuple(field.name for field in fields(self))

@@ -131,9 +131,8 @@ class ScaledExpansion(Expansion):
 
     parts = ("_at", "_scale", "values")
 
-    def __init__(self, at: Expansion, scale: Scale, values: Gradients | None = None) -> None:
-        self._at, self._scale = at, scale
-        self.values = _outside(at.values, scale) if values is None else values
+    def __init__(self, at: Expansion, scale: Scale) -> None:
+        self._at, self._scale, self.values = at, scale, _outside(at.values, scale)
 
     @override
     def mass(self) -> Tensor:

@@ -208,7 +208,7 @@ class MidpointExpansion(DiscreteExpansion):
         h: Time step [s].
     """
 
-    parts = ("_at", "_h")
+    parts = ("_at", "_h", "values")
 
     def __init__(self, at: Expansion, h: float) -> None:
         self._at, self._h = at, h
@@ -364,7 +364,7 @@ class MomentumMatching(Rowwise):
         forces: The generalised force over the step.
     """
 
-    parts = ("_discrete", "_q0", "_impulse", "_forces")
+    parts = ("_discrete", "_forces", "_q0", "_impulse")
 
     def __init__(
         self,
@@ -389,10 +389,10 @@ class MomentumMatching(Rowwise):
 class MomentumMismatch(Rowwise):
     """The discrete Euler-Lagrange residual at one batch of candidates."""
 
-    parts = ("expansion", "_impulse")
+    parts = ("expansion", "residual")
 
     def __init__(self, expansion: DiscreteExpansion, impulse: Tensor) -> None:
-        self.expansion, self._impulse = expansion, impulse
+        self.expansion = expansion
         self.residual = expansion.mismatch(impulse)
 
     def jacobian(self) -> Tensor:

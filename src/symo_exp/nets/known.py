@@ -223,7 +223,7 @@ class KnownExpansion(Expansion):
         at: Those with the present constants, expanded.
     """
 
-    parts = ("_lagrangian", "_at")
+    parts = ("_lagrangian", "_at", "values")
 
     def __init__(self, lagrangian: KnownLagrangian, at: Expansion) -> None:
         self._lagrangian, self._at = lagrangian, at

@@ -202,7 +202,7 @@ class PlanarLinks(nn.Module, Lagrangian):
 class PlanarExpansion(Expansion):
     """``ℒ`` of planar links around ``(q, v)``; ``v`` is that of ``s``."""
 
-    parts = ("_lagrangian", "_links", "_v")
+    parts = ("_lagrangian", "_links", "_v", "values")
     _lagrangian: PlanarLinks
 
     def __init__(self, lagrangian: PlanarLinks, links: _Links, v: Tensor) -> None:

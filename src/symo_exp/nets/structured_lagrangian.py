@@ -234,13 +234,13 @@ class _Passes(NamedTuple):
 class StructuredExpansion(Expansion):
     """``ℒ`` around ``(q, v)``; all derivatives share one forward and one transposed pass."""
 
-    parts = ("_lagrangian", "_passes")
+    parts = ("_lagrangian", "_passes", "values")
     _lagrangian: StructuredLagrangian
+    _rates: tuple[Tensor, ...] = ()
+    """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has computed them."""
 
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
-        self._rates: tuple[Tensor, ...] = ()
-        """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has computed them."""
         dq = lagrangian.embedding.to_coordinates(passes.features, passes.feature_cotangent)
         for waves in passes.waves:
             slopes = waves.dx * (passes.output_cotangent @ lagrangian.skip)
