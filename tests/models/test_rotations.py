@@ -13,10 +13,8 @@ from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import DynamicsModel
-from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.flows import ExplicitFlow
 from symo_exp.models.horizon import HorizonError
-from symo_exp.models.l_node import LNODE
 from symo_exp.models.starts import Fit, fitted_start
 from symo_exp.models.true import TrueOde, TrueVariational
 from symo_exp.nets.drag import LearnedBodyDrag
@@ -24,6 +22,7 @@ from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system as stated
 from symo_exp.use.environments import environment
+from tests.models.methods import make
 from tests.models.test_horizon import assert_gradient, motions
 from tests.tables import arguments_of
 
@@ -31,6 +30,7 @@ ROOT = Newton(tolerance=1e-12, max_iterations=30)
 NAMES = ["rigid_body", "quadrotor"]
 PIVOT = Coordinates.of(rotations=("R",))
 FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
+PAIRS = {"explicit": ("l_node", "rk4"), "variational": ("e2e_symo", "galerkin4")}
 
 
 def model_of(system: LagrangianSystem, kind: str) -> DynamicsModel:
@@ -160,16 +160,13 @@ def test_a_motion_does_not_start_from_a_matrix_that_is_no_rotation(name: str) ->
 
 def learned(kind: str, free: bool) -> DynamicsModel:
     """A model of a heavy body with drag, learned in all parameters."""
-    coordinates = FREE if free else PIVOT
-    torch.manual_seed(3)
-    make, integrator = (LNODE, {"integrator": RK4()}) if kind == "explicit" else (
-        E2ESyMo, {"integrator": Galerkin(stages=2), "root": ROOT}
+    coordinates, pair = FREE if free else PIVOT, PAIRS[kind]
+    model: DynamicsModel = make(
+        *pair, coordinates.n, coordinates=coordinates, input_matrix=torch.zeros(coordinates.n, 1),
+        time_step=0.1, lagrangian=partial(LearnedRigidBody, learned_inputs=1),
+        dissipation=LearnedBodyDrag,
     )  # fmt: skip
-    return make(
-        partial(LearnedRigidBody, learned_inputs=1), coordinates=coordinates,
-        input_matrix=torch.zeros(coordinates.n, 1), time_step=0.1,
-        dissipation=LearnedBodyDrag, **integrator,
-    ).double()  # fmt: skip
+    return model
 
 
 @pytest.mark.parametrize("free", [False, True], ids=["pivot", "free"])
