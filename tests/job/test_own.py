@@ -43,16 +43,25 @@ ADDED = {
     "data": "data=oscillations model=symo data.n_traj=2",
     "optimizer": "optimizer=rmsprop model=node",
 }
+TARGETS = {
+    "system": "system._target_",
+    "objective": "objective._target_",
+    "method": "model._target_",
+    "measure": "study.largest._target_",
+}
 QUIET = [*TINY, "logger=none", "pictures=false"]
+
+
+def write(folder, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
 
 
 @pytest.fixture
 def mine(workplace):
-    folder = workplace / "mine_own"
-    for name, text in FILES.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
-    return folder
+    write(workplace / "mine_own", FILES)
+    return workplace / "mine_own"
 
 
 @pytest.mark.parametrize("what", ADDED)
@@ -180,16 +189,31 @@ MISTAKES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("what", "before", "after", "said"), MISTAKES)
-def test_a_mistake_in_a_class_is_refused_before_anything_starts(what, before, after, said, mine):
-    name = f"{what}_{MISTAKES.index((what, before, after, said))}"  # a module is imported once
-    file = mine / f"mine_{what}.py"
-    text = file.read_text()
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory):
+    """A folder with all mistakes: what is chosen from it is composed once."""
+    folder = tmp_path_factory.mktemp("ours")
+    write(folder, FILES | {"right_drag.py": DRAG, "dissipation/right_drag.yaml": DRAG_FILE})
+    for k, (what, before, after, _) in enumerate(MISTAKES):
+        write(folder, {f"{what}_{k}.py": changed(FILES[f"mine_{what}.py"], before, after)})
+    for name, before, after, _ in DRAG_MISTAKES:
+        write(folder, {f"{name}.py": changed(DRAG, before, after)})
+    return folder
+
+
+def changed(text, before, after):
     assert before in text
-    (mine / f"{name}.py").write_text(text.replace(before, after))
-    (where,) = (path for path in mine.rglob("*.yaml") if f"mine_{what}." in path.read_text())
-    where.write_text(where.read_text().replace(f"mine_{what}.", f"{name}."))
-    told = refusal("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
+    return text.replace(before, after)
+
+
+@pytest.mark.parametrize(("what", "before", "after", "said"), MISTAKES)
+def test_a_mistake_in_a_class_is_refused_before_anything_starts(
+    what, before, after, said, ours, workplace
+):
+    name = f"{what}_{MISTAKES.index((what, before, after, said))}"  # a module is imported once
+    (class_name,) = re.findall(rf"_target_: mine_{what}\.(\w+)", "".join(FILES.values()))
+    words = ["--config-dir", str(ours), f"code={ours}", *ADDED[what].split(), *QUIET]
+    told = refusal(*words, f"{TARGETS[what]}={name}.{class_name}")
     assert re.search(said, told)
 
 
@@ -240,35 +264,40 @@ class Drag(nn.Module, Dissipation):
     def force(self, q, v):
         return -self.rate * v
 """
+DRAG_FILE = """# Mine.
+_target_: right_drag.Drag
+_partial_: true
+"""
 
 
-@pytest.mark.parametrize(
-    ("name", "before", "after", "said"),
-    [
-        ("no_dissipation", "Module, Dissipation", "Module", r"expected a \S+.Dissipation"),
-        ("one_force", "* v", "* v.sum(1, keepdim=True)", r"shape \(4, 1\) .* expected \(4, 2\)"),
-        ("one_number", "* v", "* v.sum(1)", r"shape \(4,\) .* expected \(4, 2\)"),
-        ("no_rate", "self.rate *", "self.rates *", r"Drag.force\(q, v\) fails: AttributeError"),
-        ("no_width", "coordinates)", "coordinates, width)", "Drag needs width, which its settings"),
-        ("no_sizes", "*, coord", "width, size, *, coord", "Drag needs width and size, which "),
-        ("no_axes", ", *, coordinates", "", "Drag is given coordinates, which it does not take"),
-    ],
-)
+DRAG_MISTAKES = [
+    ("no_dissipation", "Module, Dissipation", "Module", r"expected a \S+.Dissipation"),
+    ("one_force", "* v", "* v.sum(1, keepdim=True)", r"shape \(4, 1\) .* expected \(4, 2\)"),
+    ("one_number", "* v", "* v.sum(1)", r"shape \(4,\) .* expected \(4, 2\)"),
+    ("no_rate", "self.rate *", "self.rates *", r"Drag.force\(q, v\) fails: AttributeError"),
+    ("no_width", "coordinates)", "coordinates, width)", "Drag needs width, which its settings"),
+    ("no_sizes", "*, coord", "width, size, *, coord", "Drag needs width and size, which "),
+    ("no_axes", ", *, coordinates", "", "Drag is given coordinates, which it does not take"),
+]
+
+
+@pytest.mark.parametrize(("name", "before", "after", "said"), DRAG_MISTAKES)
 def test_a_mistake_in_a_dissipation_is_refused_before_anything_starts(
-    name, before, after, said, workplace
+    name, before, after, said, ours, workplace
 ):
-    """On two coordinates, to which one force would be broadcast."""
-    folder = workplace / "mine"
-    (folder / "dissipation").mkdir(parents=True)
-    words = "--config-dir", "mine", "code=mine", "system=cartpole", "model=symo", *QUIET
-    for module, text in (("right_drag", DRAG), (name, DRAG.replace(before, after))):
-        (folder / f"{module}.py").write_text(text)
-        node = f"# Mine.\n_target_: {module}.Drag\n_partial_: true\n"
-        (folder / "dissipation" / f"{module}.yaml").write_text(node)
-    with planned(*words, "dissipation=right_drag") as (sweep, jobs):
-        sweep.check(jobs)
-    told = refusal(*words, f"dissipation={name}")
+    told = refusal(*drag_of(ours), f"dissipation._target_={name}.Drag")
     assert re.search(said, told)
+
+
+def test_a_dissipation_without_a_mistake_is_accepted(ours, workplace):
+    with planned(*drag_of(ours)) as (sweep, jobs):
+        sweep.check(jobs)
+
+
+def drag_of(folder):
+    """On two coordinates, to which one force would be broadcast."""
+    words = ["--config-dir", str(folder), f"code={folder}", "dissipation=right_drag"]
+    return [*words, "system=cartpole", "model=symo", *QUIET]
 
 
 def test_a_class_takes_what_it_passes_on_to_the_one_that_it_inherits_from(mine):
