@@ -31,6 +31,7 @@ from symo_exp.models.learned import MakesLagrangian
 from symo_exp.models.symo import SyMo
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
+from symo_exp.runs.instances import arguments_of
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate
@@ -66,10 +67,11 @@ def calls(integrator: VariationalIntegrator) -> dict[str, dict[str, Callable[[],
         for kind in (SyMo, E2ESyMo):
             torch.manual_seed(0)
             model = kind(
-                lagrangian, coordinates=truth.coordinates, input_matrix=truth.input_matrix,
-                time_step=truth.time_step, integrator=integrator,
+                lagrangian,
+                integrator=integrator,
                 root=Newton(tolerance=1e-8, max_iterations=20),
-            )  # fmt: skip
+                **arguments_of(truth),
+            )
 
             def step(model: SyMo | E2ESyMo = model, windows: Windows = windows) -> None:
                 model.zero_grad()

@@ -6,6 +6,7 @@ from typing import Any
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from symo_exp.runs.instances import arguments_of as arguments_of
 from symo_exp.shipped import CONF
 
 
@@ -45,15 +46,6 @@ def stated(name: str) -> dict[str, Any]:
 def systems() -> dict[str, Any]:
     """Name to system, of those whose equations are known."""
     return {name: instantiate(stated(name)) for name in known_systems()}
-
-
-def arguments_of(system: Any) -> dict[str, Any]:
-    """Arguments from a system that every model takes."""
-    return {
-        "coordinates": system.coordinates,
-        "input_matrix": system.input_matrix,
-        "time_step": system.time_step,
-    }
 
 
 @cache

@@ -11,7 +11,6 @@ was learned. Where the learned residual is below the true one, the loss leads aw
 import sys
 from pathlib import Path
 
-import hydra.utils
 import pandas as pd
 import torch
 from torch import Tensor
@@ -24,6 +23,7 @@ from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.models.true import TrueVariational
 from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.instances import arguments_of, instance_of
 
 HEAD = [
     "run", "noise", "learning rate", "seed", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned",
@@ -34,8 +34,7 @@ HEAD = [
 def training_windows(config: dict, system: object) -> Windows:
     """Return the training windows of a run, in float64."""
     settings = config["data"] | {"dtype": "float64", "shuffle": False}
-    # given afterwards: Hydra would take a system, a dataclass, for configuration
-    data: DataModule = hydra.utils.instantiate(settings, _partial_=True)(system=system)
+    data: DataModule = instance_of(settings, system=system)
     data.setup()
     return data.train
 
@@ -60,14 +59,12 @@ def table(runs: Path, name: str) -> str:
         if not noise or folder.outcome().status != "finished":
             continue
         learned = symo_exp.load(file.parent, dtype=torch.float64).for_evaluation().double()
-        system = hydra.utils.instantiate(config["system"])
+        system = instance_of(config["system"])
         truth = TrueVariational(
             lagrangian=system,
             integrator=learned.flow.integrator,
             root=learned.flow.root,
-            coordinates=system.coordinates,
-            input_matrix=system.input_matrix,
-            time_step=system.time_step,
+            **arguments_of(system),
         ).double()
         windows = training_windows(config, system)
         pairs = zip(squares(truth, windows), squares(learned, windows), strict=True)

@@ -36,6 +36,7 @@ from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
+from symo_exp.runs.instances import arguments_of
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 
@@ -81,13 +82,11 @@ def machine(kind: str, seed: int) -> tuple[Any, Any, float]:
 def learned(system: Any, objective: PreconditionedResidual) -> SyMo:
     return SyMo(
         partial(KnownLagrangian, system=system, fixed=["gravity"]),
-        coordinates=system.coordinates,
-        input_matrix=system.input_matrix,
-        time_step=H,
         integrator=VariationalMidpoint(),
         root=Newton(tolerance=1e-10, max_iterations=50),
         dissipation=partial(KnownFriction, system=system),
         objective=objective,
+        **arguments_of(system),
     ).double()
 
 

@@ -10,9 +10,11 @@ import torch
 import yaml
 
 import symo_exp
+from symo_exp.data.base import Once
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.runs.folder import CHECKPOINT, POSTERIOR, PREVIOUS, About, RunFolder
+from symo_exp.runs.instances import arguments_of, instance_of
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.training.learner import Learner
@@ -49,34 +51,15 @@ def config(model="symo", system="pendulum"):
     return copy.deepcopy({"system": SYSTEMS[system], "model": MODELS[model]})
 
 
-class Epoch:
-    """A loader whose one item is the list of an epoch's batches."""
-
-    def __init__(self, batches):
-        self.batches = batches
-
-    def __len__(self):
-        return 1
-
-    def __iter__(self):
-        yield self.batches
-
-
 def made(folder, settings):
     """A run folder as a short training leaves it, and the model that was trained."""
-    import hydra.utils
-
-    system = hydra.utils.instantiate(settings["system"])
-    model = hydra.utils.instantiate({**settings["model"], "_partial_": True})(
-        coordinates=system.coordinates,
-        input_matrix=system.input_matrix,
-        time_step=system.time_step,
-    )
+    system = instance_of(settings["system"])
+    model = instance_of(settings["model"], **arguments_of(system))
     n, m = system.input_matrix.shape
     samples = Windows(*(0.1 * torch.randn(4, k) for k in (n, n, n, n, n, m, m, m)))
     trainer = quiet_trainer(2, folder)
     learner = Learner(model, optimizer=lambda p: torch.optim.Adam(p, lr=1e-3))
-    trainer.fit(learner, train_dataloaders=Epoch([samples]))
+    trainer.fit(learner, train_dataloaders=Once(lambda: [samples]))
     RunFolder(folder).write_config(settings)
     trainer.save_checkpoint(folder / CHECKPOINT)
     return model.eval()

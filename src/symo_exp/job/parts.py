@@ -21,7 +21,7 @@ from symo_exp.models.objectives import check_objective
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import CHECKPOINTS, SERIES, RunFolder
-from symo_exp.runs.instances import instance_of
+from symo_exp.runs.instances import arguments_of, instance_of
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
 from symo_exp.systems.box import SamplingBox
@@ -75,13 +75,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     if (given := settings["data"].get("dtype", dtype)) != dtype:
         raise ConfigError(f"data.dtype={given}: training has dtype={dtype}; give dtype={given}")
     with default_dtype(dtype):
-        model = make(
-            settings,
-            "model",
-            coordinates=system.coordinates,
-            input_matrix=system.input_matrix,
-            time_step=system.time_step,
-        )
+        model = make(settings, "model", **arguments_of(system))
     instance("model", model, DynamicsModel)
     if not hasattr(model, "flow"):
         raise ConfigError(

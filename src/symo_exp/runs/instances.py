@@ -26,3 +26,9 @@ def instance_of(node: Mapping[str, Any], **given: Any) -> Any:
         if error.__cause__ is None:
             raise
         raise error.__cause__ from None
+
+
+def arguments_of(system: Any) -> dict[str, Any]:
+    """Return the arguments that every model takes from its system."""
+    names = "coordinates", "input_matrix", "time_step"
+    return {name: getattr(system, name) for name in names}

@@ -26,7 +26,7 @@ from symo_exp.runs.folder import (
     PREVIOUS,
     RunFolder,
 )
-from symo_exp.runs.instances import instance_of
+from symo_exp.runs.instances import arguments_of, instance_of
 
 log = logging.getLogger(__name__)
 
@@ -84,12 +84,7 @@ def _built(
     """Return the system and the model of a configuration, maybe of another version."""
     try:
         found = instance_of(system)
-        return found, instance_of(
-            model,
-            coordinates=found.coordinates,
-            input_matrix=found.input_matrix,
-            time_step=found.time_step,
-        )
+        return found, instance_of(model, **arguments_of(found))
     except ConfigError:  # of another kind, such as a package that is missing
         raise
     except Exception as error:
