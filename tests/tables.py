@@ -8,6 +8,8 @@ from omegaconf import OmegaConf
 
 from symo_exp.runs.instances import arguments_of as arguments_of
 from symo_exp.shipped import CONF
+from symo_exp.systems import table
+from symo_exp.systems.table import system
 
 
 @cache
@@ -45,13 +47,10 @@ def stated(name: str) -> dict[str, Any]:
 
 def systems() -> dict[str, Any]:
     """Name to system, of those whose equations are known."""
-    return {name: instantiate(stated(name)) for name in known_systems()}
+    return {name: system(name) for name in known_systems()}
 
 
 @cache
 def known_systems() -> list[str]:
     """Names of the systems that a file states whole; others are known by a recording or a model."""
-    files = {name: (CONF / "system" / f"{name}.yaml").read_text() for name in choices("system")}
-    return [
-        name for name, text in files.items() if "${mechanism:" not in text and "???" not in text
-    ]
+    return list(table.systems())
