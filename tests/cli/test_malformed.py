@@ -55,7 +55,7 @@ PLACES = [
     ("logger.tracking_uri=file:///somewhere", STORE),
     ("logger.every_n_epochs=0", "logger.every_n_epochs=0: expected a whole number of at least 1"),
     ("logger.timeout=0", "logger.timeout=0: expected a finite number above 0"),
-    ("logger.flush_seconds=-1", "logger.flush_seconds=-1 must be"),
+    ("logger.flush_seconds=-1", "logger.flush_seconds=-1: expected a finite number of at least 0"),
     ("resume=perhaps", "resume=perhaps has the wrong type: expected true or false"),
     ("data=recorded data.path=folder", "the folder has no .parquet, .csv, .npz"),
     ("data=recorded data.path=/dev/null", FILES),

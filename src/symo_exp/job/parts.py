@@ -177,8 +177,7 @@ def _told_call(message: str) -> str | None:
 @contextmanager
 def default_dtype(name: str) -> Iterator[None]:
     """Set PyTorch's default precision meanwhile."""
-    if name not in ("float32", "float64"):
-        raise ConfigError(f"dtype={name} is not a choice; possible: float32, float64")
+    one_of("dtype", name, ("float32", "float64"))
     before = torch.get_default_dtype()
     torch.set_default_dtype(getattr(torch, name))
     try:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from symo_exp.checks import real, whole_number
-from symo_exp.errors import ConfigError
 from symo_exp.runs.folder import DIED, SERIES, About, Outcome, RunFolder
 from symo_exp.runs.series import EPOCH, TIME, read
 from symo_exp.tracking.page import NOTE, description, page, send_dataset, show
@@ -61,8 +60,7 @@ class MlflowView:
     ) -> None:
         whole_number("logger.every_n_epochs", every_n_epochs)
         real("logger.timeout", timeout, above=0)
-        if not flush_seconds >= 0.0:
-            raise ConfigError(f"logger.flush_seconds={flush_seconds} must be 0 or more seconds")
+        real("logger.flush_seconds", flush_seconds, low=0)
         self.store = find(tracking_uri, directory)
         self.flush_seconds = flush_seconds
         self._experiment, self._every, self._timeout = experiment, every_n_epochs, timeout
