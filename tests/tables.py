@@ -45,6 +45,7 @@ def stated(name: str) -> dict[str, Any]:
     return settings
 
 
+@cache
 def systems() -> dict[str, Any]:
     """Name to system, of those whose equations are known."""
     return {name: system(name) for name in known_systems()}

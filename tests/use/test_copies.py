@@ -34,8 +34,8 @@ def test_copies_move_as_one_does_alone(name):
     system = SYSTEMS[name]
     model = model_of(system, "l_node", "rk4")
     pairs = [
-        (environment(system, solver=FINE), environment(system, 3, solver=FINE)),
-        (environment(model), environment(model, 3)),
+        (environment(system, solver=FINE), environment(system, 2, solver=FINE)),
+        (environment(model), environment(model, 2)),
     ]
     for one, many in pairs:
         states, _ = many.reset(seed=1)
@@ -43,7 +43,7 @@ def test_copies_move_as_one_does_alone(name):
         actions = [many.action_space.sample() for _ in range(2)]
         told = [many.step(action)[:4] for action in actions]
         n = system.coordinates.width
-        for i in range(3):
+        for i in range(2):
             one.reset(options={"q": states[i, :n], "v": states[i, n:]})
             for action, (observation, reward, lost, over) in zip(actions, told, strict=True):
                 if np.abs(observation[i]).max() > 100.0:

@@ -205,7 +205,7 @@ def test_the_known_equations_of_a_model_file_are_the_same_operations_for_any_bat
 
 
 def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
-    model = make("node", "rk4", 1)
+    model = make("node", "midpoint", 1)
     (tmp_path / "file").touch()
     wrong = [
         ({"path": "model.zip"}, r"ends in .pt2, .onnx"),
@@ -247,14 +247,14 @@ def _onnx(monkeypatch):
 
 @pytest.mark.usefixtures("_onnx")
 def test_an_onnx_file_contains_its_weights(tmp_path):
-    path = symo_exp.export(make("node", "rk4", 1), tmp_path / "made" / "model.onnx")
+    path = symo_exp.export(make("node", "midpoint", 1), tmp_path / "made" / "model.onnx")
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_the_free_dimension_of_an_onnx_file_is_called_batch(tmp_path):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxscript")
-    path = symo_exp.export(make("node", "rk4", 1), tmp_path / "model.onnx")
+    path = symo_exp.export(make("node", "midpoint", 1), tmp_path / "model.onnx")
     graph = onnx.load(path).graph
     for one in (*graph.input, *graph.output):
         assert one.type.tensor_type.shape.dim[0].dim_param == "batch"
@@ -275,6 +275,6 @@ def test_an_interrupted_export_keeps_the_file_before(name, function, tmp_path, m
     path.write_text("before")
     monkeypatch.setattr(function, interrupted)
     with pytest.raises(KeyboardInterrupt):
-        symo_exp.export(make("node", "rk4", 1), path)
+        symo_exp.export(make("node", "midpoint", 1), path)
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]

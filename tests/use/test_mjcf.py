@@ -200,7 +200,7 @@ def test_mujoco_has_the_same_motion(case, tmp_path):
     theirs = mujoco.MjModel.from_xml_path(str(file))
     theirs.opt.timestep = H / 20
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    data, steps = mujoco.MjData(theirs), round(1.0 / H)
+    data, steps = mujoco.MjData(theirs), round(0.3 / H)
     force = 0.1 * torch.ones(len(q), steps + 1, q.shape[1]).double()
     path = model.rollout(q, v, force)
     assert path.converged.all()
