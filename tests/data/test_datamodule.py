@@ -291,8 +291,8 @@ SIZES_AND_SEEDS = (
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"n_traj": 2.0}, "data.n_traj=2.0: expected a whole number from 1 to 8"),
-        ({"n_traj": True}, "data.n_traj=True: expected a whole number from 1 to 8"),
+        ({"n_traj": 2.0}, "data.n_traj=2.0: expected a whole number of at least 1"),
+        ({"n_traj": True}, "data.n_traj=True: expected a whole number of at least 1"),
         *(({name: -1}, f"data.{name}=-1: expected a whole number") for name in SIZES_AND_SEEDS),
         ({"monitor": "train"}, "data.monitor='train': expected one of val, test"),
         ({"monitor_trajectories": 0}, "data.monitor_trajectories=0: expected a whole number"),
@@ -336,4 +336,4 @@ def test_a_single_trajectory_cannot_be_held_out(monitor: str) -> None:
 @pytest.mark.parametrize(("n_traj", "share", "count"), [(8, 0.1, 1), (32, 0.1, 3), (4, 0.01, 1)])
 def test_a_share_is_held_out(n_traj: int, share: float, count: int) -> None:
     data = small(n_traj=n_traj, n_train_max=n_traj, held_out=share, monitor="held_out")
-    assert data.held_out == data.monitor_trajectories == count
+    assert data.held_out == count

@@ -59,7 +59,6 @@ class DataModule(lightning.LightningDataModule, ABC):
 
     Args:
         time_step: Distance of the nodes [s].
-        counts: Number of trajectories in each of the ``Splits``.
         n_traj: Number of training trajectories, the first ones.
         noise_std: Standard deviation of the noise that is added to the training data.
         input_noise_std: That of the noise added to its inputs.
@@ -89,7 +88,6 @@ class DataModule(lightning.LightningDataModule, ABC):
         self,
         *,
         time_step: float,
-        counts: dict[str, int],
         n_traj: int,
         noise_std: float = 0.0,
         input_noise_std: float = 0.0,
@@ -105,9 +103,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         velocities: Literal["given", "estimated"] = "given",
     ) -> None:
         super().__init__()
-        self.time_step, self.counts = time_step, counts
+        self.time_step = time_step
         self.velocities = one_of("data.velocities", velocities, ("given", "estimated"))
-        self.n_traj = whole_number("data.n_traj", n_traj, low=1, high=counts["train"])
+        self.n_traj = whole_number("data.n_traj", n_traj)
         self.noise_std = real("data.noise_std", noise_std, low=0)
         self.input_noise_std = real("data.input_noise_std", input_noise_std, low=0)
         self.noise_test = noise_test
@@ -130,10 +128,9 @@ class DataModule(lightning.LightningDataModule, ABC):
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
         self.held_out = whole_number("data.held_out", held_out, low=low, high=n_traj - 1)
-        there = self.held_out if monitor == "held_out" else counts[monitor]
         if monitor_trajectories is not None:
-            there = min(there, whole_number("data.monitor_trajectories", monitor_trajectories))
-        self.monitor_trajectories = there
+            whole_number("data.monitor_trajectories", monitor_trajectories)
+        self.monitor_trajectories = monitor_trajectories
         self.cut = cut_windows
         self._on_device: dict[str, tuple[torch.device, TrainingSamples]] = {}
 

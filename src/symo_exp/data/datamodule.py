@@ -85,7 +85,7 @@ class TrajectoryData(DataModule):
                 "learn from recordings (data=recorded)"
             )
         self.system = system
-        counts = {
+        self.counts = {
             "train": whole_number("data.n_train_max", n_train_max, high=MOST),
             "val": whole_number("data.n_val", n_val, high=MOST),
             "test": whole_number("data.n_test", n_test, high=MOST),
@@ -105,11 +105,7 @@ class TrajectoryData(DataModule):
                 f"training trajectories that are simulated; set data.n_train_max={n_traj} as well"
             )
         super().__init__(
-            time_step=system.time_step,
-            counts=counts,
-            n_traj=n_traj,
-            batch_size=batch_size,
-            **options,
+            time_step=system.time_step, n_traj=n_traj, batch_size=batch_size, **options
         )
         self.cache = None if cache_dir is None else Cache(cache_dir)
         self._name = type(system).__name__.lower()

@@ -212,14 +212,7 @@ class RecordedData(DataModule):
         self._report = [read, *notes, *resampled, *gaps, *doubts]
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
-        counts = {name: len(part) for name, part in found.items()}
-        super().__init__(
-            time_step=h,
-            counts=counts | {"integration": len(rollouts)},
-            n_traj=n_traj,
-            batch_size=batch_size,
-            **options,
-        )
+        super().__init__(time_step=h, n_traj=n_traj, batch_size=batch_size, **options)
 
     @override
     def load(self) -> Splits:
