@@ -76,14 +76,10 @@ def test_the_initial_inertia_is_the_scale_of_inertia_and_potential(angular, init
         torch.testing.assert_close(one, other, rtol=tolerance, atol=1e-6)
 
 
-def test_an_inertia_that_is_not_positive_is_refused():
-    with pytest.raises(ConfigError, match="initial_inertia=0"):
-        StructuredLagrangian(angular=(True,), width=4, initial_inertia=0.0)
-
-
-def test_a_negative_number_of_harmonics_is_refused():
-    with pytest.raises(ConfigError, match=r"lagrangian\.harmonics=-1"):
-        StructuredLagrangian(angular=(True,), width=4, harmonics=-1)
+@pytest.mark.parametrize("wrong", [{"initial_inertia": 0.0}, {"harmonics": -1}])
+def test_invalid_settings_are_refused(wrong):
+    with pytest.raises(ConfigError, match=f"lagrangian.{next(iter(wrong))}=.*expected"):
+        StructuredLagrangian(angular=(True,), width=4, **wrong)
 
 
 def test_default_initialisation_is_that_of_the_published_code():
