@@ -324,9 +324,7 @@ class DampedNewton(RootRule[R, Damped]):
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: Damped) -> tuple[Tensor | None, Damped]:
-        further = None
-        if state.jacobian is not None:
-            further = solve(state.jacobian, -there.residual)
+        further = None if state.jacobian is None else solve(state.jacobian, -there.residual)
         norm, alpha = self.bounds.norm(there.residual, further), state.damping
         bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self.bounds.tolerance)
         accepted = norm <= bound

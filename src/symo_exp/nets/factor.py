@@ -58,7 +58,7 @@ class FactorHead(nn.Module):
     def __init__(self, n: int, *, squares: bool = False, inertia: float = 1.0) -> None:
         super().__init__()
         self.epsilon = EPSILON * inertia
-        self.n, self.columns = n, 3 * n if squares else n
+        self.n = n
         self.soft = 0 if squares else n
         """Number of outputs, the first ones, that are a diagonal before its softplus."""
         own, full = torch.eye(n), torch.ones(n, n)
@@ -176,7 +176,7 @@ class FactorHead(nn.Module):
         lower = outputs[..., self.soft : -1]
         zero = torch.zeros_like(outputs[..., :1])
         flat = torch.cat((diagonal, lower, zero), dim=-1).index_select(-1, self.place)
-        return flat.unflatten(-1, (self.n, self.columns))
+        return flat.unflatten(-1, (self.n, -1))
 
     def _entries(self, v: Tensor, y: Tensor) -> Tensor:
         """Return ``vᵢ yⱼ`` for the entries ``L_ij`` that are not under a softplus."""

@@ -66,11 +66,11 @@ class KnownLagrangian(nn.Module, Lagrangian):
             )
         self.system = system
         self._closed_form: bool = system.closed_form
-        self.numbers = [k for k, c in known.items() if k not in fixed and c.value.ndim == 0]
-        self.bodies = [k for k, c in known.items() if k not in fixed and c.value.ndim == 2]
-        if not self.numbers and not self.bodies:
+        self.given = {name: constant for name, constant in known.items() if name not in fixed}
+        if not self.given:
             raise ConfigError("lagrangian.fixed: at least one constant has to be free")
-        self.given = {name: known[name] for name in (*self.numbers, *self.bodies)}
+        self.numbers = [k for k, constant in self.given.items() if constant.value.ndim == 0]
+        self.bodies = [k for k, constant in self.given.items() if constant.value.ndim == 2]
         self._roots = {name: _upper(known[name].value) for name in self.bodies}
         self._triangle = Triangle(4)
         self.logarithms = nn.Parameter(torch.zeros(len(self.numbers)))
