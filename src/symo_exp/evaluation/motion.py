@@ -122,7 +122,6 @@ class Motion:
     def _alone(
         self, model: DynamicsModel, system: System, u: Tensor
     ) -> tuple[Finding, Tensor, Tensor]:
-        assert system.box is not None
         place, truth = model.input_matrix, system.lagrangian
         q0, v0, _ = system.points(self.count, self.seed)
         path = model.rollout(q0.to(place), v0.to(place), u.to(place))

@@ -46,7 +46,7 @@ def dynamics(
     *,
     scale: Mapping[str, float],
     known: bool,
-    acting: Collection[str] = (),
+    acting: Collection[str],
 ) -> Dynamics:
     """Return the dynamics that recordings show.
 
@@ -73,7 +73,7 @@ def dynamics(
         pairs = with_inputs(shown.motions, time_step, shown.delay)
         notes += told_reversed(pairs, coordinates, time_step, input_matrix)
     delay = shown.delay if shown.clear else 0.0
-    late = [acting_late(one, lag=shown.lag) for one in recordings] if shown.lag else recordings
+    late = [acting_late(one, lag=shown.lag) for one in recordings]
     horizons = suitable_horizons(growth_of_errors(late, coordinates, time_step, delay))
     if horizons != HORIZONS:
         times = ", ".join(f"{each:g}" for each in horizons)

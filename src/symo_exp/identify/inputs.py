@@ -77,7 +77,7 @@ def timing(
     *,
     driven: bool,
     known: bool,
-    given: Collection[str] = (),
+    given: Collection[str],
 ) -> Timing:
     """Return when the inputs of motions at nodes act.
 
