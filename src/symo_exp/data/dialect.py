@@ -93,20 +93,17 @@ class Dialect(NamedTuple):
             ValueError: If there are cells beyond the last name that are not empty.
         """
         count = len(self.names)
-        try:
-            table = pd.read_csv(
-                file,
-                encoding=self.encoding,
-                sep=r"\s+" if self.separator == " " else self.separator,
-                decimal=self.decimal,
-                skiprows=self.skipped,
-                skipinitialspace=True,
-                header=None,
-                names=list(range(max(count, self.cells))),
-                low_memory=False,
-            )
-        except pd.errors.EmptyDataError:
-            return pd.DataFrame(columns=self.names)
+        table = pd.read_csv(
+            file,
+            encoding=self.encoding,
+            sep=r"\s+" if self.separator == " " else self.separator,
+            decimal=self.decimal,
+            skiprows=self.skipped,
+            skipinitialspace=True,
+            header=None,
+            names=list(range(max(count, self.cells))),
+            low_memory=False,
+        )
         if table.iloc[:, count:].notna().any(axis=None):
             raise ValueError(
                 f"a row has {self.cells} cells, the line of names {count}, {few(self.names)}; "
