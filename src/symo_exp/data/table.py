@@ -161,9 +161,6 @@ def _read(
     with readable(file):
         table = table_of(file)
         table.columns = pd.Index(head.names)
-    for column in {"trajectory", "split"} & set(table):
-        if table[column].dtype.kind == "O":  # lists of Parquet, and categories without rows
-            table[column] = table[column].map(str, na_action="ignore").astype(object)
     notes: list[str] = []
     if sample_time is not None:
         table["t"], seconds = sample_time * numbers_of_rows(table), 1.0
@@ -174,6 +171,14 @@ def _read(
         table[column] = without_failures(table[column].to_numpy())
     notes += filter(None, (told_failures(x, table[x].to_numpy()) for x in wanted["u"]))
     table = without_gaps(where, table, numbers, notes, dict(head.given))
+    for column in {"trajectory", "split"} & set(table):
+        if table[column].isna().any():
+            raise ConfigError(
+                f"{where}: rows without a {column}; give each row one, or leave out the column "
+                f"that is read as {column}"
+            )
+        if table[column].dtype.kind == "O":  # lists of Parquet, and categories without rows
+            table[column] = table[column].map(str).astype(object)
     table["t"] = going_on(table, notes)
     if seconds is None:
         check_seconds(where, table["t"].to_numpy())
@@ -227,12 +232,6 @@ def _divided(
     where: str, table: pd.DataFrame, wanted: Mapping[str, Sequence[str]], inputs: int
 ) -> Iterator[Recording]:
     """Yield the trajectories of a table; ``inputs`` counts inputs, recorded or not."""
-    for column in {"trajectory", "split"} & set(table.columns):
-        if table[column].isna().any():
-            raise ConfigError(
-                f"{where}: rows without a {column}; give each row one, or leave out the column "
-                f"that is read as {column}"
-            )
     for label, rows in by_trajectory(table):
         if len(rows) < NODES:
             nodes = counted(len(rows), "node")

@@ -32,8 +32,6 @@ def wraps_of(columns: Sequence[np.ndarray]) -> tuple[int, float]:
     Args:
         columns: Values of the coordinate in each recording, in the order of time.
     """
-    if not columns:
-        return 0, 0.0
     every, steps = np.concatenate(columns), np.concatenate([np.abs(np.diff(x)) for x in columns])
     large = JUMP * float(np.ptp(every))
     if not (steps > large).any():
