@@ -710,6 +710,14 @@ def test_arrays_may_hold_many_trajectories() -> None:
         from_arrays({"q": q})
 
 
+@pytest.mark.parametrize("nodes", [2, 5])
+def test_an_array_of_one_trajectory_has_its_nodes_in_rows_or_in_columns(nodes: int) -> None:
+    t, q = np.arange(nodes), np.arange(nodes * 3.0).reshape(nodes, 3)
+    for x in (q, q.T):
+        found = from_arrays({"t": t, "q": x})
+        np.testing.assert_array_equal(found[["q_0", "q_1", "q_2"]], q)
+
+
 @pytest.mark.parametrize("count", [3, 40])
 @pytest.mark.parametrize("shape", [(10,), (1, 10), (10, 1), (-1, 10)])
 def test_times_may_be_those_of_all_trajectories(shape: tuple[int, ...], count: int) -> None:
