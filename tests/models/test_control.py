@@ -139,12 +139,12 @@ def test_controls_of_a_small_machine_take_as_many_updates(n, monkeypatch):
     small, sizes = make_small("l_node", "rk4", n, **lengths)
     _, path = motion(model, windows(n))
     lost = []
-    for most in range(1, 6):
+    for most in (2, 5):
         monkeypatch.setattr(control, "MOST_UPDATES", most)
         lost.append(model.inverse_dynamics(*path).isnan())
         found = small.inverse_dynamics(*(q * sizes for q in path))
         assert torch.equal(found.isnan(), lost[-1])
-    assert lost[1].any()
+    assert lost[0].any()
     assert not lost[-1].any()
 
 

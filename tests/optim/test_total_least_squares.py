@@ -277,7 +277,7 @@ def test_late_parameters_are_zero_until_their_stage():
     optimizer = TotalLeastSquares(
         model.parameters(), epsilons=(1.0, 0.3), start=2, epochs=2, warm_up=5
     )
-    trajectories, seen = lengths(20, 20, n=1), []
+    trajectories, seen = lengths(6, 6, n=1), []
     while not optimizer.finished:
         optimizer.epoch(Learner(model), trajectories)
         seen.append(any(bool(p.any()) for p in net))
@@ -285,7 +285,7 @@ def test_late_parameters_are_zero_until_their_stage():
 
 
 def test_a_resumed_training_ends_with_the_same_bits():
-    trajectories = lengths(12, 15, n=1, noise=1e-3)
+    trajectories = lengths(6, 7, n=1, noise=1e-3)
     settings = {"epsilons": (1.0, 0.3), "start": 2, "epochs": 2, "warm_up": 5}
     model = symo(1, dissipation=friction(width=2))
     optimizer = TotalLeastSquares(model.parameters(), **settings)

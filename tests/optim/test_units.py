@@ -41,9 +41,9 @@ STEP = 0.02
 def motions(units, angular):
     """Smooth motions with noise, the same in any units; and the inputs' matrix."""
     generator = torch.Generator().manual_seed(len(angular))
-    t = STEP * torch.arange(60, dtype=torch.float64).unsqueeze(1)
+    t = STEP * torch.arange(30, dtype=torch.float64).unsqueeze(1)
     waves = torch.rand(2, len(angular), generator=generator, dtype=torch.float64)
-    noise = torch.randn(60, len(angular), generator=generator, dtype=torch.float64)
+    noise = torch.randn(30, len(angular), generator=generator, dtype=torch.float64)
     q = torch.sin((1.0 + 3.0 * waves[0]) * t + 6.0 * waves[1]) + 1e-3 * noise
     sizes = _coordinates(units, angular).sizes
     trajectory = Trajectory(q * sizes, torch.zeros_like(q), torch.cos(3.0 * t))
@@ -116,7 +116,7 @@ def test_lengths_and_angles_have_the_same_weight_in_any_unit_of_length(method, u
         torch.manual_seed(0)
         coordinates = _coordinates(given, angular)
         (motion,), input_matrix = motions(given, angular)
-        motion.q[30] += 0.1 * coordinates.sizes
+        motion.q[15] += 0.1 * coordinates.sizes
         v = torch.gradient(motion.q, spacing=STEP, dim=0)[0]
         model = METHODS[method](
             partial(NetworkLagrangian, width=3), coordinates=coordinates,
