@@ -185,10 +185,8 @@ class RecordedData(DataModule):
             most = real("data.val_seconds", val_seconds, low=h)
             parts["val"] = thinned(parts["val"], most, VALIDATED, FEWEST * h)
         parts, gaps = _cut_at_gaps(where, parts, h)
-        available = len(parts["train"])
-        n_traj = whole_number(
-            "data.n_traj", available if n_traj is None else n_traj, high=available
-        )
+        if n_traj is not None:
+            whole_number("data.n_traj", n_traj, high=len(parts["train"]))
         parts["train"] = parts["train"][:n_traj]
         if not wrapped:
             refuse_turns(where, list(itertools.chain(*parts.values())), coordinates)
@@ -212,6 +210,7 @@ class RecordedData(DataModule):
         self._report = [read, *notes, *resampled, *gaps, *doubts]
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
+        n_traj = len(parts["train"])
         super().__init__(time_step=h, n_traj=n_traj, batch_size=batch_size, **options)
 
     @override
