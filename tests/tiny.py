@@ -7,6 +7,7 @@ TINY = [
     "trainer.max_epochs=2",
     "trainer.validate_every=1",
     "data.n_traj=2",
+    "data.n_steps=8",
     "data.n_train_max=4",
     "data.n_val=2",
     "data.n_test=2",
