@@ -104,6 +104,7 @@ class TrajectoryData(DataModule):
                 f"data.n_traj={n_traj} is above data.n_train_max={n_train_max}, the number of "
                 f"training trajectories that are simulated; set data.n_train_max={n_traj} as well"
             )
+        whole_number("data.n_traj", n_traj, high=n_train_max)
         super().__init__(
             time_step=system.time_step, n_traj=n_traj, batch_size=batch_size, **options
         )
