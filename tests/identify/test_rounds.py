@@ -255,6 +255,23 @@ def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(
     assert ("further candidates, since none so far suits" in said) == (chosen == "relative")
 
 
+@pytest.mark.parametrize("driven", [True, False])
+def test_a_finer_integration_precedes_candidates_that_a_plan_left_out(driven, prepared, capsys):
+    """Networks also represent errors of the integrator, and would be chosen for that."""
+
+    def told(settings):
+        fine = "system.time_step" in settings or settings["integrator"] != "midpoint"
+        return (5.0 if fine else 100.0 if settings["lagrangian"] == "planar" else 10.0), 1e-3
+
+    one = machine(2, 60.0, driven=driven)
+    search, _, plan = prepared(told, one, budget=60.0)
+    planned, others = ([c for c in ladder(one) if (c.name in plan.names) == x] for x in (1, 0))
+    search.screen(planned)
+    search.deepen(others)
+    assert search.trials.best().candidate.settings["lagrangian"] == "planar"
+    assert "further candidates" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("pace", [None, 0.5, 2.0])
 @pytest.mark.parametrize("budget", [60.0, 1e5])
 @pytest.mark.parametrize("driven", [True, False])

@@ -65,13 +65,29 @@ class Rounds:
             alive = [c for c in kept if not self._hopeless(c, self.trials.of(ranked[0]), folds)]
 
     def deepen(self, candidates: Sequence[Candidate]) -> None:
-        """Try candidates that the plan left out, if those that it has do not suit the machine."""
-        first, best = range(plans.FIRST), self.trials.best()
-        if best is None or best.mean(first) <= POOR * self.trials.baseline(first):
+        """Try candidates that the plan left out, if those that it has do not suit the machine.
+
+        Before, the best one is integrated more finely: the integrator may be all that does not
+        suit, and the candidates left out include networks, which also represent its errors.
+        """
+        best = self._unsuitable() if candidates else None
+        if best is None:
+            return
+        fine = distinct_candidates(
+            finer(best.candidate, self._machine), self._given, self.trials.candidates
+        )
+        self._promote(self.trials.affordable(fine[:1], best), best)
+        if (best := self._unsuitable()) is None:
             return
         if further := self.trials.affordable(candidates, best):
             print("further candidates, since none so far suits the machine", flush=True)
         self._promote(further, best)
+
+    def _unsuitable(self) -> Trial | None:
+        """Return the best candidate, if it does not suit the machine."""
+        first, best = range(plans.FIRST), self.trials.best()
+        poor = best is not None and best.mean(first) > POOR * self.trials.baseline(first)
+        return best if poor else None
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
