@@ -19,6 +19,7 @@ dry friction.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -260,6 +261,7 @@ MACHINES = {
 
 def main() -> None:
     """Write all files."""
+    argparse.ArgumentParser(description=__doc__).parse_args()  # -h, and nothing else
     for name, machine in MACHINES.items():
         recorded(machine).to_csv(f"{name}.csv", index=False)
 
