@@ -291,8 +291,8 @@ SIZES_AND_SEEDS = (
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"n_traj": 2.0}, "data.n_traj=2.0: expected a whole number of at least 1"),
-        ({"n_traj": True}, "data.n_traj=True: expected a whole number of at least 1"),
+        ({"n_traj": 2.0}, "data.n_traj=2.0: expected a whole number from 1 to 8"),
+        ({"n_traj": True}, "data.n_traj=True: expected a whole number from 1 to 8"),
         *(({name: -1}, f"data.{name}=-1: expected a whole number") for name in SIZES_AND_SEEDS),
         ({"monitor": "train"}, "data.monitor='train': expected one of val, test"),
         ({"monitor_trajectories": 0}, "data.monitor_trajectories=0: expected a whole number"),
