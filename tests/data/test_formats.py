@@ -249,9 +249,12 @@ def test_rows_without_times_are_a_sample_time_apart_in_each_trajectory(tmp_path:
         read_recordings(path, DRIVEN)
     with pytest.raises(ConfigError, match="sample_time=0"):
         read_recordings(path, DRIVEN, sample_time=0.0)
-    first, second = read_recordings(path, DRIVEN, sample_time=H).recordings
-    np.testing.assert_allclose(first.samples.t, table.t[::2], atol=1e-12)
-    np.testing.assert_allclose(second.samples.t, table.t[::2], atol=1e-12)
+    lists = table.drop(columns="t").assign(run=[["a"], ["b"]] * (len(table) // 2))
+    lists.to_parquet(tmp_path / "x.parquet", index=False)
+    for file in path, tmp_path / "x.parquet":
+        first, second = read_recordings(file, DRIVEN, sample_time=H).recordings
+        np.testing.assert_allclose(first.samples.t, table.t[::2], atol=1e-12)
+        np.testing.assert_allclose(second.samples.t, table.t[::2], atol=1e-12)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

@@ -35,7 +35,8 @@ def numbers_of_rows(table: pd.DataFrame) -> np.ndarray:
     """Return the number of each row in its trajectory, the first being 0."""
     if "trajectory" not in table:
         return np.arange(len(table))
-    return table.groupby("trajectory", sort=False, dropna=False).cumcount().to_numpy()
+    names = table["trajectory"].map(str)  # Parquet may have lists
+    return table.groupby(names, sort=False).cumcount().to_numpy()
 
 
 def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
