@@ -145,6 +145,16 @@ def test_prediction_is_a_step_from_the_initial_velocity(method, integrator):
     assert torch.equal(predicted.q, model.predict(moved).q) != model.reads_velocity
 
 
+def test_a_flow_that_reads_no_velocity_needs_an_estimate_of_its_own():
+    class Forgetful(ExplicitFlow):
+        reads_velocity = False
+
+    flow = make("node", "rk4", 2).flow
+    flow.__class__ = Forgetful
+    with pytest.raises(ConfigError, match="Forgetful has reads_velocity = False, but no initial"):
+        flow.predict(windows(2))
+
+
 @pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "midpoint")])
 @torch.no_grad()
 def test_without_a_control_the_motion_is_unforced_and_one_control_is_held(method, integrator):

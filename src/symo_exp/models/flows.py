@@ -109,6 +109,11 @@ class Flow(nn.Module, ABC):
         A flow that does not read it returns an estimate; in evaluation, its rows in which no motion
         between nodes is found are NaN.
         """
+        if not self.reads_velocity:
+            raise ConfigError(
+                f"{type(self).__name__} has reads_velocity = False, but no initial_velocity(windows) "
+                "of its own; define it, or set reads_velocity = True to start from measured ones"
+            )
         return windows.v
 
     def predict(self, windows: Windows) -> Step:
