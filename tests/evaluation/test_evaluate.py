@@ -15,9 +15,10 @@ from symo_exp.data.recorded import RecordedData
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion
-from symo_exp.evaluation.rollouts import CHUNK, along, roll_out
+from symo_exp.evaluation.rollouts import CHUNK, Rollouts, along, roll_out
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
@@ -52,6 +53,19 @@ def undefined(names: Iterable[str]) -> set[str]:
 
 def test_every_measure_is_defined_in_the_documentation():
     assert not undefined(NAMES | INERTIA | VARIATIONAL)
+
+
+def test_the_error_of_a_rotation_does_not_jump_at_a_half_turn():
+    """A yaw that is always 0.01 rad ahead passes π, where its angle jumps to −π."""
+    turning, z = Coordinates.of(rotations=("R",)), torch.tensor([0.0, 0.0, 1.0]).double()
+    yaw = torch.linspace(3.0, 3.3, 100).double().view(1, -1, 1)
+    q, q_true = (turning.space.of_vector(angle * z) for angle in (yaw + 0.01, yaw))
+    still = torch.zeros(1, 100, 3).double()
+    rolled = Rollouts(turning, H, q, still, None, q_true, still, None, torch.ones(1, 99).bool())
+    columns = rolled.columns()
+    assert (columns["q_R_z"] - columns["q_true_R_z"]).abs().max() > 6.0
+    error = columns["squared_error"]
+    torch.testing.assert_close(error, torch.full_like(error, 1e-4 / 3), rtol=1e-9, atol=0.0)
 
 
 def result(model: Exact) -> Evaluation:

@@ -45,13 +45,14 @@ class Rollouts:
         """Return a table with a row for each node.
 
         Its columns are those of ``state_columns`` with ``q``, ``v``, ``q_true``, ``v_true``, then
-        ``energy``, ``energy_true`` [J] where known, and ``converged`` (whether the step that led
-        to this node found its root).
+        ``squared_error`` (of ``errors``, the mean over coordinates), ``energy``, ``energy_true``
+        [J] where known, and ``converged`` (whether the step that led to this node found its root).
         """
         table = state_columns(
             self.coordinates, self.time_step,
             q=self.q, v=self.v, q_true=self.q_true, v_true=self.v_true,
         )  # fmt: skip
+        table["squared_error"] = self.errors().square().mean(2).flatten()
         for name, energy in {"energy": self.energy, "energy_true": self.energy_true}.items():
             if energy is not None:
                 table[name] = energy.flatten()

@@ -111,8 +111,8 @@ class Flow(nn.Module, ABC):
         """
         if not self.reads_velocity:
             raise ConfigError(
-                f"{type(self).__name__} has reads_velocity = False, but no initial_velocity(windows) "
-                "of its own; define it, or set reads_velocity = True to start from measured ones"
+                f"{type(self).__name__} has reads_velocity = False, but no initial_velocity of its "
+                "own; define it, or set reads_velocity = True to start from measured velocities"
             )
         return windows.v
 

@@ -123,17 +123,20 @@ def motion_figure(key: str, title: str, tables: Tables, angular: bool | None = N
         over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name, angular=angular))
         for name in names
     ]
-    errors = {
-        pair: table.assign(
-            error=sum((table[f"q_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names) / len(names)
-        )
-        for pair, table in tables.items()
-    }
+    errors = {pair: _with_error(table, names) for pair, table in tables.items()}
     units = sorted({unit for name in names for unit in unit_choices(name, angular)})
     label = f"squared error [{', '.join(f'{unit}²' for unit in units)}]"
-    panels.append(over_time(errors, "error", None, label, log=True))
+    panels.append(over_time(errors, "squared_error", None, label, log=True))
     panels.append(over_time(tables, "energy", "energy_true", "energy [J]"))
     return Figure(key, title, FIRST, panels)
+
+
+def _with_error(table: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """Return the table with ``squared_error``, which those of earlier versions do not have."""
+    if "squared_error" in table:
+        return table
+    error = sum((table[f"q_{name}"] - table[f"q_true_{name}"]) ** 2 for name in names)
+    return table.assign(squared_error=error / len(names))
 
 
 def phase_space_figure(key: str, title: str, tables: Tables, angular: bool | None = None) -> Figure:
