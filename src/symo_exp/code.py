@@ -64,7 +64,7 @@ def locate(target: Any, where: str, homes: tuple[str, ...] = COMMANDS) -> Callab
         raise ConfigError(
             f"{where}={target} cannot be found: {error}{place_in_code(error)}"
         ) from error
-    except Exception as error:  # of a module of the user's
+    except (Exception, SystemExit) as error:  # of a module of the user's, which may be a script
         raise ConfigError(f"{where}={target} cannot be imported: {with_place(error)}") from error
     module = f"{getattr(made, '__module__', '')}."
     function = ("symo_exp.",) if homes == COMMANDS else ()

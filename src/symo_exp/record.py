@@ -196,7 +196,7 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
         raise ConfigError(f"--policy {given}: there is no such file")
     try:
         found = runpy.run_path(given).get("policy")
-    except Exception as error:  # a user's own code
+    except (Exception, SystemExit) as error:  # a user's own code
         raise ConfigError(f"--policy {given} fails: {with_place(error)}") from error
     if not callable(found):
         raise ConfigError(f"--policy {given} has no function policy(observation)")

@@ -366,6 +366,7 @@ def test_a_dissipation_that_adds_energy_is_refused():
     [
         ("class Spring(LagrangianSystem):", "class Spring(LagrangianSystem)", "SyntaxError", ""),
         ("@dataclass(frozen=True, kw_only=True)", "@dataclass", "TypeError", "cannot inherit"),
+        ("@dataclass(", "exit(2)\n@dataclass(", "SystemExit", "2"),
     ],
 )
 def test_a_module_that_cannot_be_imported_is_refused(before, after, error, said, mine):
