@@ -120,6 +120,8 @@ def test_order_6_is_for_samples_a_time_step_apart(finest, noise, chosen, decided
         (1.0, 1.02, "viscous"),  # data are less likely without
         (2.0, 1.02, "viscous"),
         (0.5, 1.02, "none"),  # errors are smaller for certain
+        (1.0, 0.98, "none"),
+        (2.0, 0.98, "viscous"),  # its training, with more noise, has not reached a minimum
     ],
 )
 def test_friction_is_left_out_unless_data_are_less_likely_without(error, noise, chosen, decided):
@@ -255,12 +257,15 @@ def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(
     assert ("further candidates, since none so far suits" in said) == (chosen == "relative")
 
 
+@pytest.mark.parametrize("halved", [True, False])
 @pytest.mark.parametrize("driven", [True, False])
-def test_a_finer_integration_precedes_candidates_that_a_plan_left_out(driven, prepared, capsys):
+def test_finer_integrations_precede_candidates_that_a_plan_left_out(
+    driven, halved, prepared, capsys
+):
     """Networks also represent errors of the integrator, and would be chosen for that."""
 
     def told(settings):
-        fine = "system.time_step" in settings or settings["integrator"] != "midpoint"
+        fine = "system.time_step" in settings if halved else settings["integrator"] != "midpoint"
         return (5.0 if fine else 100.0 if settings["lagrangian"] == "planar" else 10.0), 1e-3
 
     one = machine(2, 60.0, driven=driven)

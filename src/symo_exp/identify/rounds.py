@@ -17,7 +17,7 @@ from symo_exp.identify.candidates import (
 from symo_exp.identify.fits import Fits
 from symo_exp.identify.structures import structures
 from symo_exp.identify.trials import Trials
-from symo_exp.identify.validation import Trial, beats
+from symo_exp.identify.validation import Trial, beats, noisier
 from symo_exp.identify.variations import (
     finer,
     of_higher_order,
@@ -73,12 +73,11 @@ class Rounds:
         best = self._unsuitable() if candidates else None
         if best is None:
             return
-        fine = distinct_candidates(
-            finer(best.candidate, self._machine), self._given, self.trials.candidates
-        )
-        self._promote(self.trials.affordable(fine[:1], best), best)
-        if (best := self._unsuitable()) is None:
-            return
+        fine = finer(best.candidate, self._machine)
+        for one in distinct_candidates(fine, self._given, self.trials.candidates):
+            self._promote(self.trials.affordable([one], best), best)
+            if (best := self._unsuitable()) is None:
+                return
         if further := self.trials.affordable(candidates, best):
             print("further candidates, since none so far suits the machine", flush=True)
         self._promote(further, best)
@@ -254,7 +253,13 @@ class Rounds:
         return beats(best.errors, simple.errors, folds)
 
     def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
-        """Return whether a simpler model is less likely and has no smaller errors for certain."""
+        """Return whether a simpler model is less likely and has no smaller errors for certain.
+
+        A model that leaves more noise than one that it contains has not been trained to its
+        minimum. Noises say nothing then, and the errors alone decide.
+        """
+        if noisier(more.noises(), less.noises(), folds):
+            return beats(more.errors, less.errors, folds)
         parameters = (more.parameters or 0) - (less.parameters or 0)
         return self.trials.likelier(more, less, folds, parameters) and not beats(
             less.errors, more.errors, folds

@@ -184,6 +184,13 @@ def compared(
     return float(np.mean(differences)), deviation / math.sqrt(len(differences))
 
 
+def noisier(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
+    """Return whether the noise that is left is larger by ``GAIN``, the mean of the logarithms."""
+    if not all(math.isfinite(x[k]) for x in (one, other) for k in folds):
+        return False
+    return compared(one, other, folds)[0] > GAIN
+
+
 def likelier(
     one: Mapping[int, float],
     other: Mapping[int, float],
