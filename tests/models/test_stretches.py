@@ -5,8 +5,10 @@ import itertools
 import pytest
 import torch
 
+from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import Newton
-from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.flows import ACCURACY, Flow, VariationalFlow
 from symo_exp.models.starts import fitted_start
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import slopes as slopes_of
@@ -64,6 +66,28 @@ def test_rollouts_are_those_of_single_steps(kind, name, n):
     assert found.converged.all()
     torch.testing.assert_close(found.q, expected.q, atol=1e-9, rtol=1e-9)
     torch.testing.assert_close(found.v, expected.v, atol=1e-7, rtol=1e-7)
+
+
+class HeavyBase(torch.nn.Module, Lagrangian):
+    """A light pendulum on a base a million times as heavy, to which it is strongly coupled."""
+
+    def mass_matrix(self, q):
+        rows = torch.tensor([[1e6, 900.0], [900.0, 1.0]], dtype=q.dtype)
+        return rows.expand(len(q), 2, 2)
+
+    def potential(self, q):
+        return -1e5 * torch.cos(q[:, 0]) - torch.cos(q[:, 1])
+
+
+def test_rounding_errors_of_a_heavy_machine_do_not_end_a_stretch(monkeypatch):
+    """Those of its momenta are larger than the bound on the equations."""
+    root, matrix = Newton(tolerance=1e-10, max_iterations=50), torch.zeros(2, 1).double()
+    root.accuracy = ACCURACY
+    flow = VariationalFlow(HeavyBase(), VariationalMidpoint(), H, matrix, root=root).double()
+    generator = torch.Generator().manual_seed(3)
+    q, v = torch.randn(2, 20, 2, dtype=torch.float64, generator=generator)
+    monkeypatch.setattr(VariationalFlow, "advance", None)  # no step is taken alone
+    assert flow.rollout(3.0 * q, 0.3 * v, torch.zeros(20, STEPS + 1, 1).double()).converged.all()
 
 
 @pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
