@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from symo_exp.compile.program import Program
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm
+from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MomentumMatching
 from symo_exp.models.base import DynamicsModel
@@ -76,7 +76,7 @@ def iterate_branch_free(
         near_by = jacobian if before is None else before.jacobian
         length = root.bounds.norm(at.residual, solve(near_by, -at.residual))
     near = length <= root.tolerance
-    settled = root.bounds.settled(x, step)
+    settled = root.bounds.negligible(step, rounding(x, root.sizes)).all(-1)
     last = torch.zeros_like(settled) if together else settled
     if before is None:
         wanting = torch.ones_like(near) if together else ~near

@@ -137,6 +137,19 @@ class Bounds(NamedTuple):
         """Return the rows whose step is lost in rounding."""
         return (step.abs() <= rounding(x, self.sizes)).all(-1)
 
+    def negligible(
+        self, step: Float[Tensor, "*batch k"], resolution: Float[Tensor, "*batch k"]
+    ) -> Bool[Tensor, "*batch k"]:
+        """Return which parts of a step of Newton's method are within the accuracy, or lost.
+
+        Before such a step a root is known, even where the equations of a heavy machine have larger
+        rounding errors than the tolerance. ``resolution`` is the effect of roundings on ``step``.
+        """
+        if self.accuracy is not None:
+            bound = absolute(torch.full_like(step, self.accuracy), self.sizes)
+            resolution = resolution.maximum(bound)
+        return step.abs() <= resolution
+
 
 class RootRule(Rule[P, S]):
     """Steps towards roots of ``g``.
@@ -278,7 +291,7 @@ class Damped(NamedTuple):
     damping: Float[Tensor, " batch"]
     """``α``."""
     settled: Bool[Tensor, " batch"]
-    """Rows whose step is lost in rounding."""
+    """Rows whose step is within the accuracy, or lost in rounding."""
     iterations: Int[Tensor, " batch"]
 
 
@@ -316,7 +329,7 @@ class DampedNewton(RootRule[R, Damped]):
     def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         jacobian = at.jacobian()
         step = solve(jacobian, -at.residual)
-        settled = self.bounds.settled(x, step)
+        settled = self.bounds.negligible(step, rounding(x, self.bounds.sizes)).all(-1)
         state = state._replace(settled=settled)
         if self.bounds.accuracy is not None:
             state = state._replace(norm=self.bounds.norm(at.residual, step), jacobian=jacobian)

@@ -19,7 +19,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Bounds, RootRule, Sizes, absolute, relative, rounding
+from symo_exp.mechanics.roots import Bounds, RootRule, Sizes, relative, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -210,10 +210,7 @@ class StretchState(NamedTuple):
     roots: Bool[Tensor, "batch steps"]
     """Whether all steps up to each are roots."""
     settled: Bool[Tensor, "batch steps"]
-    """Whether the changes up to each step are within the accuracy, or lost in rounding.
-
-    Rounding errors of the equations of heavy machines are larger than the bound on the equations.
-    """
+    """Whether the changes up to each step are within the accuracy, or lost in rounding."""
     before: StretchPoint | None
     """The previous iterate."""
     length: Float[Tensor, "batch steps"]
@@ -273,10 +270,8 @@ class StretchNewton(RootRule[StretchPoint, StretchState]):
         sizes, steps = self.bounds.sizes, at.p.shape[1]
         change, own = at.newton_step(state.before)
         there = at.moved(x, change)
-        least = at.resolution(x, sizes)
-        if self.bounds.accuracy is not None:
-            least = least.maximum(absolute(torch.full_like(least, self.bounds.accuracy), sizes))
-        moves = (change.abs() > least).unflatten(1, (steps, -1)).any(-1)
+        moves = ~self.bounds.negligible(change, at.resolution(x, sizes))
+        moves = moves.unflatten(1, (steps, -1)).any(-1)
         settled = ~moves.cummax(1).values
         length = relative(change, sizes).unflatten(1, (steps, -1)).square().sum(-1).cumsum(1).sqrt()
         done = settled | state.roots
