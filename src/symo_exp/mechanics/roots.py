@@ -246,9 +246,9 @@ class Newton(RootFinder):
 
     With ``stopping="row"`` every row has its own status. Once most rows have converged only the
     others continue, and the step of a row is halved (``α``) until ``‖g‖`` decreases, so that one
-    bad row costs one row. A row whose step is lost in the rounding of ``x`` has also converged: its
-    ``‖g‖`` is as small as the precision allows. ``stopping="batch"`` is the rule of the thesis:
-    undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
+    bad row costs one row. A row whose step is within the accuracy, or lost in the rounding of
+    ``x``, has also converged: its ``‖g‖`` is as small as the precision allows. ``stopping="batch"``
+    is the rule of the thesis: undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √n`` of a row, or of the batch.
