@@ -375,6 +375,11 @@ def test_divergent_series_leave_the_picture_without_changing_its_scale():
     (data, *_) = declare(lost, interactive=True)["datasets"].values()
     assert all(row["y"] is None or np.isfinite(row["y"]) for row in data)
     assert motion_figure("forced", "", TABLES).panels[0].rows.x.max() <= LONG
+    table = swing(lost=True).assign(squared_error=1e-3)
+    table.v_theta = table.v_theta.where(np.isfinite(table.q_theta), np.inf)
+    errors = motion_figure("forced", "", {PAIRS[0]: table}).panels[-2].rows
+    assert errors.y.max() == 1e-3
+    assert errors.y.isna().any()
 
 
 def test_a_constant_truth_leaves_room_to_see_the_others():

@@ -278,7 +278,7 @@ def kept(table: pd.DataFrame) -> pd.DataFrame:
         fastest = table[f"v_true_{name}"].abs().max() or 1.0
         gone |= ~(table[f"v_{name}"].abs() <= LOST * fastest)  # NaN is lost, too
     gone = gone.groupby(table.trajectory).cummax()
-    predicted = [c for n in names for c in (f"q_{n}", f"v_{n}")] + ["energy"]
+    predicted = [c for n in names for c in (f"q_{n}", f"v_{n}")] + ["energy", "squared_error"]
     own = [column for column in predicted if column in table]
     return table.assign(**{column: table[column].mask(gone) for column in own})
 

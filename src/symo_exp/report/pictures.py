@@ -109,8 +109,9 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
             shown = over_time({pair: one[one.t <= LONG]}, *columns, label, said + _until(one))
             panels.append(wrapped_lines(shown) if turns else shown)
     unit = ", ".join(f"{unit}²" for unit in rollouts.coordinates.units_of_errors)
+    label = f"squared error [{unit}]"
     for one in chosen.values():
-        panels.append(over_time({pair: one}, "error", None, f"squared error [{unit}]", log=True))
+        panels.append(over_time({pair: one}, "squared_error", None, label, log=True))
     said = f"{title}: rollouts of {_horizon(rollouts)}"
     return Figure("trajectories", said, "", panels, columns=len(chosen))
 
@@ -169,15 +170,9 @@ def _errors(rollouts: Rollouts) -> Tensor:
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:
-    """Return all motions, a row for each node, with predictions only until they are lost.
-
-    ``error`` is the mean squared error of a node.
-    """
+    """Return all motions, a row for each node, with predictions only until they are lost."""
     columns = {name: column.numpy() for name, column in rollouts.columns().items()}
-    columns["error"] = rollouts.errors().square().mean(2).flatten().numpy()
-    table = kept(pd.DataFrame(columns))
-    lost = table[f"q_{rollouts.coordinates.names[0]}"].isna()
-    return table.assign(error=table.error.mask(lost))
+    return kept(pd.DataFrame(columns))
 
 
 def _until(one: pd.DataFrame) -> str:
