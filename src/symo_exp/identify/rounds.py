@@ -17,7 +17,7 @@ from symo_exp.identify.candidates import (
 from symo_exp.identify.fits import Fits
 from symo_exp.identify.structures import structures
 from symo_exp.identify.trials import Trials
-from symo_exp.identify.validation import Trial, beats, noisier
+from symo_exp.identify.validation import GAIN, Trial, beats, noise_ratio
 from symo_exp.identify.variations import (
     finer,
     of_higher_order,
@@ -258,7 +258,7 @@ class Rounds:
         A model that leaves more noise than one that it contains has not been trained to its
         minimum. Noises say nothing then, and the errors alone decide.
         """
-        if noisier(more.noises(), less.noises(), folds):
+        if noise_ratio(more.noises(), less.noises(), folds) > GAIN:
             return beats(more.errors, less.errors, folds)
         parameters = (more.parameters or 0) - (less.parameters or 0)
         return self.trials.likelier(more, less, folds, parameters) and not beats(

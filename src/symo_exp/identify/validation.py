@@ -184,11 +184,13 @@ def compared(
     return float(np.mean(differences)), deviation / math.sqrt(len(differences))
 
 
-def noisier(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
-    """Return whether the noise that is left is larger by ``GAIN``, the mean of the logarithms."""
+def noise_ratio(
+    one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]
+) -> float:
+    """Return the mean over folds of ``log(one / other)``; NaN if a noise was not estimated."""
     if not all(math.isfinite(x[k]) for x in (one, other) for k in folds):
-        return False
-    return compared(one, other, folds)[0] > GAIN
+        return math.nan
+    return compared(one, other, folds)[0]
 
 
 def likelier(
@@ -211,7 +213,5 @@ def likelier(
         more: Number of parameters that the other model lacks.
         count: Number of residuals in a fold.
     """
-    if not all(math.isfinite(x[k]) for x in (one, other) for k in folds):
-        return True
-    gain, _ = compared(other, one, folds)
-    return count * gain > 0.5 * more * math.log(count)
+    gain = noise_ratio(other, one, folds)
+    return math.isnan(gain) or count * gain > 0.5 * more * math.log(count)

@@ -142,8 +142,9 @@ class Bounds(NamedTuple):
     ) -> Bool[Tensor, "*batch k"]:
         """Return which parts of a step of Newton's method are within the accuracy, or lost.
 
-        Before such a step a root is known, even where the equations of a heavy machine have larger
-        rounding errors than the tolerance. ``resolution`` is the effect of roundings on ``step``.
+        A step of which all parts are leads to a root, even where rounding errors of the equations
+        exceed the tolerance, as those of heavy machines do. ``resolution`` is the effect of
+        roundings on ``step``.
         """
         if self.accuracy is not None:
             bound = absolute(torch.full_like(step, self.accuracy), self.sizes)
