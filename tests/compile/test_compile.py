@@ -135,7 +135,10 @@ def traced_only(monkeypatch):
     return graphs
 
 
-LONG = {("l_node", "dopri5"), ("l_node", "rk4"), ("symo", "galerkin4"), ("symo", "midpoint")}
+LONG = {
+    ("l_node", "dopri5"), ("l_node", "rk4"),
+    ("symo", "galerkin4"), ("symo", "midpoint"), ("symo", "refined_midpoint"),
+}  # fmt: skip
 """Those that take longest; other cases have the field or the integrator with another partner, and
 ``test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled`` has roots."""
 

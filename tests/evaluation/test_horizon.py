@@ -17,10 +17,16 @@ from symo_exp.evaluation.horizon import (
     tolerance,
     whole_error,
 )
-from symo_exp.evaluation.recordings import held_out_error
+from symo_exp.evaluation.recordings import HeldOutErrors, held_out_error
 from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.mechanics.composed import ComposedMidpoint, RefinedMidpoint
+from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Trajectories, Trajectory
+from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.starts import closest_start, fitted_start
+from symo_exp.models.true import TrueVariational
+from symo_exp.systems.chain import ChainPendulum
+from tests.tables import arguments_of
 
 H = 0.02
 BOTH = pytest.mark.parametrize("run_in", [True, False], ids=["fitted", "measured"])
@@ -350,3 +356,22 @@ def test_the_error_over_whole_recordings_counts_drift_and_is_bounded_by_the_moti
     lost = whole_error(Off(seconds=1.0), motions[:2])
     widths = [one.q.var(0, correction=0).mean() for one in motions[:2]]
     assert lost == pytest.approx(torch.stack(widths).mean().sqrt().item())
+
+
+def test_held_out_errors_are_those_of_the_predictions_in_parts_of_steps():
+    """A link that a motor moves against dry friction comes to rest within steps."""
+    system = dataclasses.replace(ChainPendulum(1), coulomb=(2.0,), rest_velocity=0.005)
+
+    def model(rule):
+        root = Newton(tolerance=1e-12, max_iterations=50)
+        given = arguments_of(system) | {"time_step": H}
+        return TrueVariational(system.lagrangian, integrator=rule, root=root, **given).double()
+
+    t = H * torch.arange(151, dtype=torch.float64)
+    u = 3.0 * torch.sin(3.0 * t + torch.arange(4)[:, None])[..., None]
+    q = torch.linspace(-0.5, 0.5, 4, dtype=torch.float64)[:, None]
+    path = model(ComposedMidpoint(parts=32)).rollout(q, torch.zeros_like(q), u)
+    motions = [Trajectory(*one) for one in zip(path.q, path.v, u, strict=True)]
+    rules = VariationalMidpoint(), RefinedMidpoint(parts=4)
+    coarse, fine = (HeldOutErrors()(model(rule), motions) for rule in rules)
+    assert fine < 0.3 * coarse, (fine, coarse)

@@ -15,7 +15,7 @@ from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
-from symo_exp.mechanics.galerkin import Basis, Galerkin
+from symo_exp.mechanics.galerkin import Galerkin, legendre
 from symo_exp.mechanics.geodesic import Geodesic, on_space
 from symo_exp.mechanics.lagrangian import Lagrangian, matvec, vecmat
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
@@ -202,7 +202,7 @@ def geodesic(space: Space, stages: int) -> VariationalIntegrator:
 
 def stationary(lagrangian: Controlled, q0: Tensor, q1: Tensor, stages: int) -> Tensor:
     """Inner coefficients of a motion without controls, by Newton's method."""
-    integrator = Geodesic(space=lagrangian.lagrangian.space, stages=stages)
+    integrator = Geodesic(lagrangian.lagrangian.space, legendre(stages))
     x = integrator.unknowns(q0, q1)
     n = x.shape[1] // stages
     for _ in range(4 if stages > 1 else 0):
@@ -222,7 +222,7 @@ def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int
     slots = integrator.slots(controlled, q0, q1, H)
 
     def action(a: Tensor, b: Tensor) -> Tensor:
-        basis, inner = Basis(stages), stationary(controlled, a, b, stages)
+        basis, inner = legendre(stages), stationary(controlled, a, b, stages)
         phi, rate = basis.path(space.origin(a), space.chart(a, b), inner, H)
         place = space.point(a.repeat(stages, 1), phi)
         moved = torch.func.jvp(lambda x: space.point(a.repeat(stages, 1), x), (phi,), (rate,))[1]
@@ -431,7 +431,7 @@ def test_the_motion_of_a_rod_between_two_configurations_is_found(
     q = space.of_vector(drawn(3, rows=40))
     controls = Forces(*(drawn(3, rows=40, seed=k, scale=0.5) for k in (2, 3)))
     controlled = Controlled(rod, torch.eye(3).double())
-    at = Geodesic(space=space, stages=stages).expand(
+    at = Geodesic(space, legendre(stages)).expand(
         controlled, q, space.retract(q, 0.05 * rate), 0.05, controls
     )
     assert at.stationarity.abs().max() < 1e-12
@@ -545,7 +545,7 @@ def test_a_flat_space_has_the_integrator_itself(integrator: VariationalIntegrato
 
 def test_an_integrator_without_an_extension_is_refused() -> None:
     class Other(VariationalMidpoint):
-        stages = None
+        has_geodesic = False
 
     with pytest.raises(ConfigError, match=r"Other .*rotations; choose integrator=midpoint"):
         on_space(Other(), Space(1))

@@ -23,7 +23,7 @@ KINDS = {
 }
 TURNING = {name: x for name, x in systems().items() if x.coordinates.space.rotations}
 METHODS = variational_integrators()
-ON_ROTATIONS = [name for name, method in METHODS.items() if method.stages is not None]
+ON_ROTATIONS = [name for name, method in METHODS.items() if method.has_geodesic]
 CASES = [
     (kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))
 ] + [

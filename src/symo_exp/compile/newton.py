@@ -236,6 +236,6 @@ class VariationalAdvance:
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor
     ) -> tuple[MomentumMatching, Tensor]:
         """Return the equations of a step, and the impulse ``f⁺`` at its end."""
-        flow, forces = self._flow, self._flow.forces(u, u_next)
-        f0, f1 = flow.discrete.impulses(forces)
-        return flow.matching(q, p + f0, forces), f1
+        discrete, forces = self._flow.rollout_discrete, self._flow.forces(u, u_next)
+        f0, f1 = discrete.impulses(forces)
+        return MomentumMatching(discrete, q, p + f0, forces), f1

@@ -67,45 +67,45 @@ class Expandable(Protocol):
         ...
 
 
-class Galerkin(VariationalIntegrator):
-    """The Galerkin variational integrator with ``stages`` = s Gauss points, order 2s.
+class GalerkinIntegrator(VariationalIntegrator):
+    """A Galerkin variational integrator with the bubbles and points of a basis.
 
     A step solves for ``(q₁, c)`` at once. Between two given configurations the inner coefficients
     start at zero and are improved by Newton's method with the inertia's part of the Hessian,
-    ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and with that of friction,
-    until the last update is below ``tolerance`` of the displacement, both in the units of the
-    coordinates (``sizes``). Each update gains two to three digits at usual step sizes. A row that
-    an update would make worse keeps its coefficients (untrained networks have such rows). With
-    friction it tries a part of the update, with rotations one with the whole Hessian: about a thin
-    axis the other terms are larger than the inertia. They are so in fast motions of long chains,
-    too; in evaluation all rows that have not converged go on with the whole Hessian.
+    ``Σᵢ bᵢ βⱼ βₗ Hᵢ / h``, which is always regular and nearly diagonal for Legendre polynomials,
+    and with that of friction, until the last update is below ``tolerance`` of the displacement,
+    both in the units of the coordinates (``sizes``). Each update gains two to three digits at usual
+    step sizes. A row that an update would make worse keeps its coefficients (untrained networks
+    have such rows). With friction it tries a part of the update, with rotations one with the whole
+    Hessian: about a thin axis the other terms are larger than the inertia. They are so in fast
+    motions of long chains, too; in evaluation all rows that have not converged go on with the whole
+    Hessian.
 
     Args:
-        stages: Number of Gauss points.
+        basis: The motions over an interval.
         tolerance: Bound on the last update, relative to the displacement.
         max_iterations: Bound on the number of updates.
     """
 
+    has_geodesic = True
     has_hessian = True
     finishes = False
     """Whether rows that do not converge go on with the whole Hessian, as all do in evaluation."""
 
     def __init__(
-        self, *, stages: int, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
+        self, basis: Basis, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
     ) -> None:
         self.tolerance = real("tolerance", tolerance, above=0)
         self.max_iterations = whole_number("max_iterations", max_iterations)
-        self.stages: int = whole_number("stages", stages)
-        self.order = 2 * stages
-        self.iterates = stages > 1
-        self.basis = Basis(stages)
+        self.basis, self.order = basis, basis.order
+        self.iterates = len(basis.b) > 1
 
     @override
     def slots(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> Slots:
         # Intervals that occur twice, as those of consecutive windows do, are solved once.
-        if self.stages == 1:  # there is nothing to solve
+        if not self.iterates:  # there is nothing to solve
             return self._each(lagrangian, q0, q1, h, forces)
         ends = (q0, q1) if forces is None else (q0, q1, *forces)
         chosen, place = distinct(torch.cat(ends, dim=1).detach())
@@ -130,8 +130,8 @@ class Galerkin(VariationalIntegrator):
         self, lagrangian: Expandable, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
         problem = InnerEquations(self.basis, lagrangian, q0, q1, h, forces)
-        start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
-        if self.stages == 1:
+        start = self._still(q0)
+        if not self.iterates:
             return problem.at(start).expansion
         tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
         rule = InnerSteps(tolerance, self.sizes, exact=self.space.rotations > 0)
@@ -148,7 +148,7 @@ class Galerkin(VariationalIntegrator):
 
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
         """Return ``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
-        return torch.cat((q1, q1.new_zeros(q1.shape[0], (self.stages - 1) * q1.shape[1])), dim=1)
+        return torch.cat((q1, self._still(q1)), dim=1)
 
     @override
     @torch.no_grad()
@@ -157,6 +157,10 @@ class Galerkin(VariationalIntegrator):
     ) -> GalerkinExpansion:
         q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], *q0.shape)
         return GalerkinExpansion.of(self.basis, lagrangian, q0, q1, c, h, forces)
+
+    def _still(self, q: Tensor) -> Tensor:
+        """Return inner coefficients that are zero."""
+        return q.new_zeros(q.shape[0], (len(self.basis.b) - 1) * q.shape[1])
 
     @override
     def converged(self) -> Self:
@@ -168,6 +172,21 @@ class Galerkin(VariationalIntegrator):
         """Return ``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
         first, *_, last = self.basis.impulses(Forces(force0, force1), h).unbind(0)
         return first, last
+
+
+class Galerkin(GalerkinIntegrator):
+    """The Galerkin variational integrator with ``stages`` = s Gauss points, order 2s.
+
+    Args:
+        stages: Number of Gauss points.
+        tolerance: Bound on the last update, relative to the displacement.
+        max_iterations: Bound on the number of updates.
+    """
+
+    def __init__(
+        self, *, stages: int, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
+    ) -> None:
+        super().__init__(legendre(whole_number("stages", stages)), tolerance, max_iterations)
 
 
 @dataclass(eq=False)
@@ -310,20 +329,31 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
 
 class Basis:
-    """``bᵢ``, ``α_a(τᵢ)`` and ``β_a(τᵢ)`` at the Gauss points; rows are variables."""
+    """Bubbles that vanish at both ends of an interval, and the points of a quadrature rule.
 
-    def __init__(self, stages: int) -> None:
-        tau, self.b = _gauss(stages)
-        x = 2.0 * tau - 1.0
-        legendre = [torch.ones_like(x), x]
-        for j in range(1, stages):
-            legendre.append(((2 * j + 1) * x * legendre[j] - j * legendre[j - 1]) / (j + 1))
-        bubbles = [
-            (legendre[j + 1] - legendre[j - 1]) / (2 * (2 * j + 1)) for j in range(1, stages)
-        ]
-        one = torch.ones_like(x)
-        self.alpha = torch.stack((1.0 - tau, *bubbles, tau))
-        self.beta = torch.stack((-one, *legendre[1:stages], one))
+    The variables of an interval are the values at its ends and the coefficients of the bubbles
+    between them.
+
+    Args:
+        tau: Points ``τᵢ`` in [0, 1].
+        b: Weights ``bᵢ``.
+        bubbles: ``φⱼ(τᵢ)``.
+        slopes: Their derivatives in ``τ``.
+        order: Of the integrator.
+    """
+
+    def __init__(
+        self,
+        tau: Float[Tensor, " points"],
+        b: Float[Tensor, " points"],
+        bubbles: Float[Tensor, "inner points"],
+        slopes: Float[Tensor, "inner points"],
+        order: int,
+    ) -> None:
+        self.order = order
+        self.b, one = b, torch.ones_like(tau).unsqueeze(0)
+        self.alpha = torch.cat((one - tau, bubbles, tau.unsqueeze(0)))
+        self.beta = torch.cat((-one, slopes, one))
         ba, bb = self.b * self.alpha, self.b * self.beta
         self._ba, self._bb = ba, bb
         # Σᵢ bᵢ x_a y_b for the four products of the Hessian, flattened over a and b.
@@ -529,6 +559,18 @@ def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:
 
 def _blocks(row: Float[Tensor, "batch a*n"], batch: int, n: int) -> Float[Tensor, "a batch n"]:
     return row.reshape(batch, row.shape[1] // n, n).transpose(0, 1)
+
+
+def legendre(stages: int) -> Basis:
+    """Return the integrals of Legendre polynomials as bubbles, at Gauss points."""
+    tau, b = _gauss(stages)
+    x = 2.0 * tau - 1.0
+    rows = [torch.ones_like(x), x]
+    for j in range(1, stages):
+        rows.append(((2 * j + 1) * x * rows[j] - j * rows[j - 1]) / (j + 1))
+    found, degrees = torch.stack(rows), torch.arange(1, stages).unsqueeze(-1)
+    bubbles = (found[2:] - found[:-2]) / (2 * (2 * degrees + 1))
+    return Basis(tau, b, bubbles, found[1:stages], order=2 * stages)
 
 
 def _gauss(stages: int) -> tuple[Tensor, Tensor]:

@@ -33,7 +33,12 @@ from symo_exp.mechanics.chart import (
     Ends,
     at_points,
 )
-from symo_exp.mechanics.galerkin import CondensedExpansion, Galerkin, GalerkinExpansion
+from symo_exp.mechanics.galerkin import (
+    Basis,
+    CondensedExpansion,
+    GalerkinExpansion,
+    GalerkinIntegrator,
+)
 from symo_exp.mechanics.geodesic_midpoint import GeodesicMidpoint
 from symo_exp.mechanics.lagrangian import Gradients
 from symo_exp.mechanics.rows import take_rows
@@ -54,30 +59,30 @@ def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalInte
     """
     if not space.rotations:
         return integrator
-    if integrator.stages is None:
+    if not integrator.has_geodesic:
         raise ConfigError(
             f"{type(integrator).__name__} moves lengths and angles only, and the system has "
             "rotations; choose integrator=midpoint, galerkin4, galerkin6 or galerkin10"
         )
-    if integrator.stages == 1:
+    if not (isinstance(integrator, GalerkinIntegrator) and integrator.iterates):
         return GeodesicMidpoint(space)
-    found = Geodesic(space=space, stages=integrator.stages)
+    found = Geodesic(space, integrator.basis)
     found.sizes = integrator.sizes
     return found
 
 
-class Geodesic(Galerkin):
-    """The Galerkin integrator in the chart at the start of an interval, order ``2 stages``.
+class Geodesic(GalerkinIntegrator):
+    """A Galerkin integrator in the chart at the start of an interval.
 
     Its ``forces`` are the controls at both ends of an interval.
 
     Args:
         space: The space.
-        stages: Number of Gauss points.
+        basis: The motions over an interval.
     """
 
-    def __init__(self, *, space: Space, stages: int) -> None:
-        super().__init__(stages=stages)
+    def __init__(self, space: Space, basis: Basis) -> None:
+        super().__init__(basis)
         self.space, self.iterates = space, True
 
     @override

@@ -29,7 +29,7 @@ class GeodesicMidpoint(VariationalIntegrator):
         space: The space.
     """
 
-    order, stages, iterates, has_hessian = 2, 1, True, True
+    order, iterates, has_hessian = 2, True, True
 
     def __init__(self, space: Space) -> None:
         self.space = space

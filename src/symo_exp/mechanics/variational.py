@@ -106,8 +106,8 @@ class VariationalIntegrator(ABC):
     """The space of the configurations that it takes."""
     sizes: Sizes = None
     """Units of the coordinates."""
-    stages: int | None = None
-    """Number of Gauss points of its extension to rotations, ``None`` if it has none."""
+    has_geodesic = False
+    """True if it has an extension to rotations (``mechanics.geodesic``)."""
     has_hessian = False
     """True if its expansions have a ``hessian``; several steps are then solved at once."""
 
@@ -166,6 +166,10 @@ class VariationalIntegrator(ABC):
         """Return the same integrator with inner iterations carried to convergence."""
         return self
 
+    def of_rollouts(self) -> VariationalIntegrator:
+        """Return the integrator of rollouts, the same one unless training has another."""
+        return self
+
 
 class VariationalMidpoint(VariationalIntegrator):
     """The midpoint rule, ``L_d(q₀, q₁) = h ℒ((q₀+q₁)/2, (q₁−q₀)/h)`` (thesis (5.4)), order 2.
@@ -178,7 +182,7 @@ class VariationalMidpoint(VariationalIntegrator):
     """
 
     order = 2
-    stages = 1
+    has_geodesic = True
     has_hessian = True
 
     @override

@@ -336,6 +336,7 @@ class VariationalFlow(Flow):
         instance("integrator", integrator, VariationalIntegrator)
         self.lagrangian, self.space = lagrangian, lagrangian.space
         self.integrator = copy.copy(on_space(integrator, self.space))
+        self.rollout_integrator = copy.copy(self.integrator.of_rollouts())
         self.root = copy.copy(root)
         self.evaluation_root = _accurate(evaluation_root or root)
         self.rollout_root = _accurate(rollout_root or evaluation_root or root)
@@ -352,27 +353,30 @@ class VariationalFlow(Flow):
     @override
     def set_units(self, coordinates: Coordinates) -> None:
         super().set_units(coordinates)
-        self.integrator.sizes = self.sizes
+        self.integrator.sizes = self.rollout_integrator.sizes = self.sizes
         for root in (self.root, self.evaluation_root, self.rollout_root):
             root.sizes = self.sizes
             root.tolerance *= coordinates.units.size("N m s")
 
     @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
-        guess = self.space.retract(q, self.time_step * v)
-        return self._state(self._move(q, self.encode(q, v), u, u_next, guess, self.root))
+        guess, forces = self.space.retract(q, self.time_step * v), self.forces(u, u_next)
+        p = self.encode(q, v)
+        return self._state(self.rollout_discrete.step(self.root, q, p, forces, guess))
 
     @override
     def predict(self, windows: Windows) -> Step:
         q, (p, found) = windows.q, self._before(windows)
         guess = self.space.extrapolated(windows.q_prev, q)
-        step = self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
+        forces = self.forces(windows.u, windows.u_next)
+        step = self._state(self.discrete.step(self.root, q, p, forces, guess))
         return step if found is None else step._replace(converged=step.converged & found)
 
     @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
         guess = self.space.retract(q, self.time_step * self.decode(q, y))
-        step = self._move(q, y, u, u_next, guess, self.rollout_root)
+        forces = self.forces(u, u_next)
+        step = self.rollout_discrete.step(self.rollout_root, q, y, forces, guess)
         return step.q, step.p, step.root.converged
 
     @override
@@ -438,7 +442,7 @@ class VariationalFlow(Flow):
         """True if several steps can be solved at once."""
         root = self.rollout_root
         rows = isinstance(root, Newton) and root.stopping == "row"
-        return rows and self.integrator.has_hessian
+        return rows and self.rollout_integrator.has_hessian
 
     def solve_stretch(
         self, q: Tensor, p: Tensor, u: Tensor, guess: Tensor | None = None
@@ -450,7 +454,7 @@ class VariationalFlow(Flow):
         steps, batch = u.shape[1] - 1, len(q)
         force = self.force(u.flatten(0, 1)).unflatten(0, (batch, steps + 1))
         forces = Forces(force[:, :-1], force[:, 1:])
-        problem = StretchMatching(self.discrete, q, p, forces)
+        problem = StretchMatching(self.rollout_discrete, q, p, forces)
         if guess is None:
             t = self.time_step * torch.arange(1, steps + 1).to(q)
             moved = t[:, None] * self.decode(q, p).unsqueeze(1)
@@ -458,11 +462,6 @@ class VariationalFlow(Flow):
         rule = StretchNewton(self.rollout_root.bounds)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
         return problem.nodes(x), at, rule.solved(at, state)
-
-    def _move(
-        self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, guess: Tensor, root: RootFinder
-    ) -> VariationalStep:
-        return self.discrete.step(root, q, p, self.forces(u, u_next), guess)
 
     def _state(self, at: VariationalStep) -> Step:
         return Step(at.q, self.decode(at.q, at.p), at.root.converged, at.root.iterations)
@@ -483,15 +482,24 @@ class VariationalFlow(Flow):
     def converged(self) -> VariationalFlow:
         twin = copy.deepcopy(self)
         twin.root, twin.integrator = self.evaluation_root, self.integrator.converged()
+        twin.rollout_integrator = twin.integrator
         return twin
 
     @property
     def discrete(self) -> DiscreteLagrangian:
         """The discrete Lagrangian ``L_d`` of a time step."""
+        return self._discretised(self.integrator)
+
+    @property
+    def rollout_discrete(self) -> DiscreteLagrangian:
+        """That of rollouts, the same one unless training has another integrator."""
+        return self._discretised(self.rollout_integrator)
+
+    def _discretised(self, integrator: VariationalIntegrator) -> DiscreteLagrangian:
         lagrangian: Any = self.lagrangian
         if self.space.rotations:
             lagrangian = Controlled(lagrangian, self.input_matrix)
-        return DiscreteLagrangian(self.integrator, lagrangian, self.time_step)
+        return DiscreteLagrangian(integrator, lagrangian, self.time_step)
 
     @override
     def encode(self, q: Tensor, v: Tensor) -> Tensor:

@@ -64,6 +64,7 @@ SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
 INTEGRATORS = {
     "": Stroke(""),  # a line through several integrators
     "midpoint": Stroke("midpoint"),
+    "refined_midpoint": Stroke("refined midpoint", (3, 3)),
     "rk4": Stroke("RK4", (6, 3)),
     "dopri5": Stroke("Dormand-Prince 5", (6, 2, 1, 2)),
     "galerkin4": Stroke("Galerkin 4", (10, 3)),

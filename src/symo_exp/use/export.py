@@ -20,6 +20,7 @@ from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError, shortened
 from symo_exp.files import write_bytes, write_whole
 from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.variational import MomentumMatching
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.models.inference import leaves_inference_mode
@@ -54,8 +55,9 @@ class FixedStep(nn.Module):
         if not isinstance(flow, VariationalFlow):
             return flow.step(q, v, u, u_next)[:3]
         forces, h = flow.forces(u, u_next), flow.time_step
-        before, after = flow.discrete.impulses(forces)
-        problem = flow.matching(q, flow.encode(q, v) + before, forces)
+        discrete = flow.rollout_discrete
+        before, after = discrete.impulses(forces)
+        problem = MomentumMatching(discrete, q, flow.encode(q, v) + before, forces)
         given = flow.rollout_root
         root = Newton(tolerance=given.tolerance)  # row by row, whatever the rollout's
         root.sizes, root.accuracy = given.sizes, given.accuracy
