@@ -290,12 +290,15 @@ def test_joined_variations_have_what_both_switch_on():
 
 
 @pytest.mark.parametrize("driven", [True, False])
-def test_variations_exclude_each_other_if_they_choose_different_friction(driven):
+def test_variations_exclude_each_other_if_they_choose_different_friction_or_integrators(driven):
     one = machine(driven=driven)
     for base in ladder(one):
         for first, second in itertools.permutations(variations(base, one), 2):
-            chosen = {c.settings["dissipation"] for c in (base, first, second)}
-            assert exclude(base, first, second) == (len(chosen) == 3)
+            three = [
+                {c.settings[key] for c in (base, first, second)}
+                for key in ("dissipation", "integrator")
+            ]
+            assert exclude(base, first, second) == any(len(chosen) == 3 for chosen in three)
 
 
 @pytest.mark.parametrize("driven", [True, False])

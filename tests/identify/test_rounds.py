@@ -184,6 +184,27 @@ def test_simpler_structures_have_what_makes_another_one_the_best(worse, fine, dr
     assert told(chosen.settings)[0] == 1.0
 
 
+@pytest.mark.parametrize("friction", ["friction", "viscous"])
+@pytest.mark.parametrize("gain", [0.5, 1.0])
+def test_models_with_dry_friction_predict_in_parts_of_steps_where_that_is_better(
+    gain, friction, prepared
+):
+    def told(settings):
+        right = settings["dissipation"] == friction and settings["lagrangian"] == "planar"
+        refined = settings["integrator"] == "refined_midpoint"
+        error, noise = (1.0, 1e-3) if right else (3.0, 2e-3)
+        return error * (gain if refined else 1.0), noise
+
+    one = machine(2, 60.0, driven=False)
+    search, fits, _ = prepared(told, one, budget=1e5)
+    search.screen(ladder(one))
+    chosen = search.refine().candidate.settings
+    assert chosen["dissipation"] == friction
+    dry = friction == "friction"
+    assert (chosen["integrator"] == "refined_midpoint") == (dry and gain < 1.0)
+    assert any(c.settings["integrator"] == "refined_midpoint" for c in fits.done) == dry
+
+
 def test_a_model_that_needs_no_springs_is_simplified_further_without_them(prepared):
     """With springs, or with dry friction, the simpler structure has larger errors."""
 

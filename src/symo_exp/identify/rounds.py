@@ -22,6 +22,7 @@ from symo_exp.identify.variations import (
     finer,
     of_higher_order,
     variations,
+    with_finer_predictions,
     with_friction_of,
     with_half_the_step,
     with_less_friction,
@@ -90,7 +91,7 @@ class Rounds:
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
-        for stage in (self.combine, self.vary, self.halve):
+        for stage in (self.combine, self.vary, self.halve, self.refine_predictions):
             if (best := self.trials.best()) is not None:
                 stage(best)
         if (best := self.trials.best()) is None:
@@ -155,6 +156,12 @@ class Rounds:
         for fine in self._promote(tried, best):
             if self._gains(fine, best, range(len(best.errors))):
                 self.halve(self.trials.of(fine))
+
+    def refine_predictions(self, best: Trial) -> None:
+        """Try predictions in parts of time steps, which need no other training."""
+        finer = with_finer_predictions(best.candidate)
+        new = distinct_candidates(finer, self._given, self.trials.candidates)
+        self._promote(self.trials.affordable(new, best), best)
 
     def reduce_forces(self, best: Trial) -> Trial:
         """Return the best candidate with fewer forces, unless that is worse.

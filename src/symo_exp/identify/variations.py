@@ -60,6 +60,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
     if "springs" not in settings and machine.stiffness is not None and not machine.known:
         yield sprung(candidate, machine)
+    if machine.driven:
+        yield from with_finer_predictions(candidate)
     yield from finer(candidate, machine)
     if machine.driven:
         yield from _delayed(candidate, machine)
@@ -126,6 +128,18 @@ def of_higher_order(candidate: Candidate, machine: Machine) -> list[Candidate]:
     order, cost = HIGHER[integrator]
     lower = _without(ORDER, candidate)
     return [lower.changed(f"{ORDER} {order}", 0.3, cost, integrator=f"galerkin{order}")]
+
+
+def with_finer_predictions(candidate: Candidate) -> list[Candidate]:
+    """Return the variation that predicts in parts of time steps, none without dry friction.
+
+    Its training is the same. Recorded motions that stick determine the parameters of dry friction,
+    and velocities of the midpoint rule alternate where they should vanish.
+    """
+    dry = candidate.settings["dissipation"] not in ("none", "viscous", "body_drag")
+    if candidate.settings["integrator"] != "midpoint" or not dry:
+        return []
+    return [candidate.changed("predictions in quarter steps", 0.1, integrator="refined_midpoint")]
 
 
 def _without(said: str, candidate: Candidate) -> Candidate:
