@@ -372,3 +372,24 @@ def test_a_fit_that_is_tested_is_not_trained_anew():
     (tested,) = sweep.words
     assert "resume=true" not in fitted
     assert tested[-1] == "resume=true"
+
+
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("noise", [3e-3, 5e-3])
+def test_a_last_fit_with_far_more_noise_than_the_folds_is_repeated(noise, driven, tmp_path):
+    """Also of candidates without several minima."""
+
+    class Told:
+        def perform(self, words, names):
+            found = [RunFolder(tmp_path / name) for name in names]
+            for fit in found:
+                Series(fit / SERIES).append(1, {"noise_estimate": noise})
+            return found
+
+    one = machine(2, 60.0, driven=driven)
+    plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
+    candidate = ladder(one)[0]
+    assert candidate.has_minima == driven
+    done = Fits(Told(), one, plan, {}, "mine", seed=0, clock=False).last(candidate, 9, 1e-3)
+    usual = plan.last_fits(candidate, one)
+    assert list(done) == list(range(plans.MOST_FITS if noise > 4e-3 else usual))

@@ -10,8 +10,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from symo_exp.data.folds import POOLED
 from symo_exp.errors import ConfigError
 from symo_exp.identify.candidates import Candidate, left_open
-from symo_exp.identify.plan import Plan
+from symo_exp.identify.plan import MOST_FITS, Plan
 from symo_exp.identify.recordings import Machine
+from symo_exp.identify.validation import NOISY, noise_of_fit
 from symo_exp.runs.folder import RunFolder
 from symo_exp.sweep.sweeper import Sweep
 
@@ -69,6 +70,20 @@ class Fits:
         names = [f"{candidate.name}, fold {k + 1} of {count}" for candidate, k in todo]
         found = self.sweep.perform(words, names)
         return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
+
+    def last(self, candidate: Candidate, epochs: int, noise: float) -> dict[int, RunFolder]:
+        """Return fits of the chosen candidate to all data, by their attempts.
+
+        There are more attempts if all end with far more than the ``noise`` of the quietest fold.
+
+        Raises:
+            ConfigError: If the candidate is refused.
+        """
+        first = self.plan.last_fits(candidate, self.machine)
+        found = self.to_all(candidate, epochs, range(first))
+        if min(map(noise_of_fit, found.values())) > NOISY * noise:
+            found |= self.to_all(candidate, epochs, range(first, MOST_FITS))
+        return found
 
     def to_all(
         self, candidate: Candidate, epochs: int, attempts: Sequence[int]

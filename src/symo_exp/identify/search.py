@@ -33,7 +33,6 @@ from symo_exp.identify.speed import machine_speed
 from symo_exp.identify.structures import ladder
 from symo_exp.identify.trials import Trials
 from symo_exp.identify.validation import (
-    NOISY,
     Trial,
     latest_stage,
     noise_of_fit,
@@ -136,7 +135,7 @@ class Search:
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
-        last = self._last_fits(fits, best.candidate, epochs, min(best.noises().values()))
+        last = fits.last(best.candidate, epochs, min(best.noises().values()))
         folder = with_least_noise(list(last.values()))
         if folder.outcome().status == "finished":  # it alone is tested
             folder.write_folds(folds)  # their errors widen its intervals
@@ -199,19 +198,6 @@ class Search:
             f"({100 * share:.0f} %), {counted(plan.effort.epochs, 'epoch')} a stage, "
             f"{counted(plan.cores, 'run')} at a time, {time}"
         )
-
-    def _last_fits(
-        self, fits: Fits, candidate: Candidate, epochs: int, noise: float
-    ) -> dict[int, RunFolder]:
-        """Return fits of the chosen candidate from several seeds, by their attempts.
-
-        There are more seeds if all end with far more than the ``noise`` of the quietest fold.
-        """
-        first = self._plan.last_fits(candidate, self._machine)
-        found = fits.to_all(candidate, epochs, range(first))
-        if first > 1 and min(map(noise_of_fit, found.values())) > NOISY * noise:
-            found |= fits.to_all(candidate, epochs, range(first, plans.MOST_FITS))
-        return found
 
     def _last_epoch(self, candidate: Candidate, folds: Sequence[RunFolder]) -> int:
         """Return the epochs of the last stage that no other one surpasses in the folds."""
