@@ -35,8 +35,9 @@ def explicit_integrators() -> dict[str, Any]:
 
 @cache
 def variational_integrators() -> dict[str, Any]:
-    """Name to variational integrator, at convergence, as for measures."""
-    return {name: found.converged() for name, found in _integrators("variational").items()}
+    """Name to variational integrator, of rollouts and at convergence, as for measures."""
+    found = _integrators("variational")
+    return {name: rule.of_rollouts().converged() for name, rule in found.items()}
 
 
 def stated(name: str) -> dict[str, Any]:

@@ -51,6 +51,6 @@ def test_a_refined_rule_trains_as_the_midpoint_rule_and_predicts_in_parts(n: int
         strict=True,
     ):
         assert torch.equal(ours, theirs)
-    predicted = roll(rule.converged(), chain, q, chain.momentum(q, v), STEPS, STEP)[0]
+    predicted = roll(rule.of_rollouts(), chain, q, chain.momentum(q, v), STEPS, STEP)[0]
     composed = roll(ComposedMidpoint(parts=3), chain, q, chain.momentum(q, v), STEPS, STEP)[0]
     torch.testing.assert_close(predicted, composed)

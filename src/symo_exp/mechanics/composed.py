@@ -54,12 +54,6 @@ class RefinedMidpoint(VariationalMidpoint):
     def of_rollouts(self) -> VariationalIntegrator:
         return ComposedMidpoint(parts=self._parts)
 
-    @override
-    def converged(self) -> VariationalIntegrator:
-        found = self.of_rollouts()
-        found.sizes = self.sizes
-        return found.converged()
-
 
 def hats(parts: int) -> Basis:
     """Return hat functions as bubbles, with the middles of equal parts of the interval."""

@@ -336,7 +336,7 @@ class VariationalFlow(Flow):
         instance("integrator", integrator, VariationalIntegrator)
         self.lagrangian, self.space = lagrangian, lagrangian.space
         self.integrator = copy.copy(on_space(integrator, self.space))
-        self.rollout_integrator = copy.copy(self.integrator.of_rollouts())
+        self.rollout_integrator = self.integrator.of_rollouts()
         self.root = copy.copy(root)
         self.evaluation_root = _accurate(evaluation_root or root)
         self.rollout_root = _accurate(rollout_root or evaluation_root or root)
@@ -481,8 +481,8 @@ class VariationalFlow(Flow):
     @override
     def converged(self) -> VariationalFlow:
         twin = copy.deepcopy(self)
-        twin.root, twin.integrator = self.evaluation_root, self.integrator.converged()
-        twin.rollout_integrator = twin.integrator
+        twin.root = self.evaluation_root
+        twin.integrator = twin.rollout_integrator = self.rollout_integrator.converged()
         return twin
 
     @property
