@@ -225,6 +225,16 @@ def test_noises_and_orders_are_compared_at_the_size_that_there_is(size):
     assert "order_defaults" in figures
 
 
+def test_integrators_of_one_order_are_not_compared_over_the_order():
+    table = runs()
+    level = table.assign(integrator=table.integrator.replace("galerkin4", "refined_midpoint"))
+    assert "refined_midpoint" in set(level.integrator)
+    level = level[level.integrator.isin(["midpoint", "refined_midpoint"])]
+    keys = {f.key for one in sections(level, Compared("")) for f in one.figures}
+    assert "data_size_chain_errors" in keys
+    assert "order_defaults" not in keys
+
+
 @pytest.mark.parametrize("integrator", ["midpoint", "rk4", "dopri5", "mine"])
 def test_every_point_of_a_dense_cloud_is_seen(integrator, tmp_path):
     figure = phase_space_figure("k", "", {("symo", integrator): swing(0.1)})

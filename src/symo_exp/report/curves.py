@@ -180,13 +180,13 @@ def steps(found: pd.DataFrame) -> list[Figure]:
 def over_order(found: pd.DataFrame) -> list[Figure]:
     """Return errors over the order of the integrator, with those of the true systems.
 
-    There is a figure for all settings in which a method has been run with several integrators.
+    There is a figure for all settings in which a method has been run with several orders.
     """
     ordered = found.assign(order=found.integrator.map(order_of), text=pair_names(found))
     ordered = ordered.assign(integrator="").dropna(subset="order")  # a line is through several
     clean = ordered[(ordered.source == "ours") & (ordered.noise_std == 0)]
     clean = clean[clean.n_traj == clean.system.map(usual_sizes(clean))]
-    several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
+    several = clean.groupby(["variant", "method"]).order.transform("nunique") > 1
     floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
     made = []
     for variant, mine in clean[several].groupby("variant"):
