@@ -36,16 +36,32 @@ def evidence(
 
     Returns:
         New precisions and ``Σ γ``, the number of parameters that the data determine; ``None`` if
-        the posterior precision has no factor.
+        ``G`` is not finite.
     """
-    own = precision[group]
-    factor, info = torch.linalg.cholesky_ex(gram / noise + torch.diag(own))
-    if int(info) != 0:
+    if not bool(gram.isfinite().all()):
         return None
-    determined = 1.0 - own * torch.cholesky_inverse(factor).diagonal()
-    determined = determined.clamp(0.0, 1.0) * moves
+    determined = _determined(gram / noise, precision[group]) * moves
     gamma = torch.zeros_like(precision).index_add_(0, group, determined)
     size = torch.zeros_like(gamma).index_add_(0, group, theta.square())
     found = (gamma / size).clamp(LEAST, MOST)
     known = ~flat & (gamma > 0) & (size > 0)
     return torch.where(known, found, precision), float(gamma.sum())
+
+
+def _determined(gram: Tensor, own: Tensor) -> Float[Tensor, " parameters"]:
+    """Return ``1 − α (G + α)⁻¹ᵢᵢ`` of each parameter.
+
+    Combinations of parameters that do not change the residuals have ``α`` alone. Where that is lost
+    in the rounding of ``G``, the eigenvalues ``λ`` of ``G`` in units of ``α`` give the same number,
+    ``λ / (1 + λ)`` each; those of rounding are zero.
+    """
+    posterior = gram + torch.diag(own)
+    rounding = len(own) * torch.finfo(own.dtype).eps
+    factor, info = torch.linalg.cholesky_ex(posterior)
+    least = factor.diagonal().amin().square()
+    if int(info) == 0 and bool(least > rounding * posterior.diagonal().amax()):
+        return (1.0 - own * torch.cholesky_inverse(factor).diagonal()).clamp(0.0, 1.0)
+    unit = own.rsqrt()
+    values, vectors = torch.linalg.eigh(unit[:, None] * gram * unit)
+    values = torch.where(values > rounding * values[-1], values, 0.0)
+    return vectors.square() @ (values / (1.0 + values))
