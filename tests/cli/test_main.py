@@ -73,7 +73,7 @@ BAD = [
         "learner.validation.horizons is not a setting",
         "write +learner.validation.horizons=",
     ),
-    ("objective=smoothing optimizer.starts=0", "optimizer.starts=0", "from 1 to"),
+    ("objective=smoothing optimizer.starts=-1", "optimizer.starts=-1", "from 0 to"),
     ("objective=smoothing optimizer.velocity_weight=0", "velocity_weight=0", "above 0"),
     *((f"objective=smoothing optimizer.seed={x}", f"seed={x}", "0 to") for x in (-1, 10**20)),
     ("objective=smoothing trainer=gpu", "TotalLeastSquares", "trainer=cpu"),

@@ -16,7 +16,7 @@ from symo_exp.identify.candidates import (
     structure_of,
     with_lagrangian,
 )
-from symo_exp.identify.effort import EFFORTS, MEASURED, SPARSE, STEP
+from symo_exp.identify.effort import EFFORTS, EPSILONS, MEASURED, SPARSE, STEP
 from symo_exp.identify.recordings import Machine
 from symo_exp.identify.structures import ladder, structures
 from symo_exp.identify.variations import variations, with_friction_of, with_less_friction
@@ -81,31 +81,22 @@ def test_the_planned_time_does_not_grow_with_data_beyond_the_budget():
 
 @pytest.mark.parametrize("cores", [1, 2, 4, 8])
 @pytest.mark.parametrize("seconds", [60.0, 3e4])
-def test_all_last_fits_together_have_the_time_of_one(cores, seconds):
+def test_the_last_fit_has_a_fifth_of_the_budget(cores, seconds):
     one = machine(1, seconds)
     plan = plans.make_plan(one, ladder(one), 120.0, cores, 1.0, "key")
     for candidate in ladder(one):
-        rounds = -(-plan.last_fits(candidate, one) // cores)
+        last = candidate.continued()
         nodes = round(plan.most_seconds(candidate, one) / one.time_step)
-        training = plan.effort.training(candidate, nodes, one)
-        fixed = plan.effort.training(candidate, 0, one)
-        assert rounds == 1 or cores < candidate.starts or rounds * training <= 24.0
-        assert nodes <= plans.FEWEST_NODES or rounds * (training - fixed) <= 1.01 * 24.0
+        more = plan.effort.training(last, nodes, one) - plan.effort.training(last, 0, one)
+        assert nodes <= plans.FEWEST_NODES or more <= 1.01 * 24.0
 
 
-def test_a_candidate_with_several_minima_is_fitted_more_often_where_that_is_cheap():
-    one = machine(1)
-    several = [c for c in ladder(one) if c.has_minima]
-    fits = {
-        budget: [plans.make_plan(one, several, budget, 1, 1.0, "key").last_fits(c, one)
-                 for c in several]
-        for budget in (1.0, 3600.0)
-    }  # fmt: skip
-    assert set(fits[1.0]) == {plans.FEWEST_FITS}
-    assert set(fits[3600.0]) == {plans.MOST_FITS}
-    free = machine(1, driven=False)
-    plan = plans.make_plan(free, ladder(free), 3600.0, 1, 1.0, "key")
-    assert {plan.last_fits(c, free) for c in ladder(free) if not c.has_minima} == {1}
+def test_a_training_from_trained_parameters_is_shorter():
+    one, effort = machine(2), EFFORTS[0]
+    for candidate in ladder(one):
+        last = candidate.continued()
+        assert effort.total(last) == EPSILONS * effort.epochs < effort.total(candidate)
+        assert effort.training(last, 1000, one) < effort.training(candidate, 1000, one)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -12,6 +12,7 @@ from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.structures import ladder
 from symo_exp.runs.folder import SERIES, RunFolder
 from symo_exp.runs.series import Series
+from symo_exp.shell import override_value
 from tests.identify.test_plan import machine
 
 
@@ -354,42 +355,46 @@ def test_what_there_is_no_time_for_is_printed(searched, capsys):
     assert "no time left" not in out  # cheaper candidates are tried
 
 
-def test_a_fit_that_is_tested_is_not_trained_anew():
+class ToldFolds:
+    """Performs fits that end with a told noise."""
+
+    def __init__(self, folder, noise=1e-3):
+        self.folder, self.noise, self.words = folder, noise, []
+
+    def fit(self, name, noise):
+        folder = RunFolder(self.folder / name)
+        Series(folder / SERIES).append(1, {"noise_estimate": noise})
+        return folder
+
+    def perform(self, words, names):
+        self.words += words
+        return [self.fit(f"fit {k}", self.noise) for k in range(len(words))]
+
+
+def test_a_fit_that_is_tested_is_not_trained_anew(tmp_path):
     """Also where all fits are, by resume=false."""
-
-    class Told:
-        def perform(self, words, names):
-            self.words = words
-            return [None for _ in words]
-
-    one, sweep = machine(2, 60.0), Told()
+    one, sweep = machine(2, 60.0), ToldFolds(tmp_path)
     plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
     fits = Fits(sweep, one, plan, {"resume": "resume=false"}, "mine", seed=0, clock=False)
-    candidate, epochs, attempt = ladder(one)[0], 9, 1
-    fits.to_all(candidate, epochs, [attempt])
-    (fitted,) = sweep.words
-    fits.test(candidate, epochs, attempt)
-    (tested,) = sweep.words
+    candidate, epochs, start = ladder(one)[0], 9, sweep.fit("fold", 1e-3)
+    fits.to_all(candidate, epochs, [start])
+    fits.test(candidate, epochs, start)
+    fitted, tested = sweep.words
     assert "resume=true" not in fitted
     assert tested[-1] == "resume=true"
 
 
-@pytest.mark.parametrize("driven", [True, False])
-@pytest.mark.parametrize("noise", [3e-3, 5e-3])
-def test_a_last_fit_with_far_more_noise_than_the_folds_is_repeated(noise, driven, tmp_path):
-    """Also of candidates without several minima."""
-
-    class Told:
-        def perform(self, words, names):
-            found = [RunFolder(tmp_path / name) for name in names]
-            for fit in found:
-                Series(fit / SERIES).append(1, {"noise_estimate": noise})
-            return found
-
-    one = machine(2, 60.0, driven=driven)
-    plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
-    candidate = ladder(one)[0]
-    assert candidate.has_minima == driven
-    done = Fits(Told(), one, plan, {}, "mine", seed=0, clock=False).last(candidate, 9, 1e-3)
-    usual = plan.last_fits(candidate, one)
-    assert list(done) == list(range(plans.MOST_FITS if noise > 4e-3 else usual))
+@pytest.mark.parametrize("cores", [1, 2, 16])
+@pytest.mark.parametrize(("noise", "everywhere"), [(3e-3, False), (5e-3, True)])
+def test_last_fits_start_from_the_quietest_folds(noise, everywhere, cores, tmp_path):
+    """From each fold where they end with far more noise than the quietest one."""
+    one, sweep = machine(2, 60.0), ToldFolds(tmp_path, noise)
+    plan = plans.make_plan(one, ladder(one), 600.0, cores, 1.0, "key")
+    folds = [sweep.fit(f"fold {k}", x) for k, x in enumerate((2e-3, 9e-3, 1e-3, 4e-3))]
+    fits = Fits(sweep, one, plan, {"optimizer.starts": "optimizer.starts=6"}, "mine", 0, False)
+    found = fits.last(ladder(one)[0], 9, folds)
+    starts = [start for start, _ in found]
+    quietest = [folds[k] for k in (2, 0, 3, 1)]
+    assert starts == (quietest if everywhere else quietest[:cores])
+    assert f"start_from={override_value(str(starts[-1]))}" in sweep.words[-1]
+    assert "optimizer.starts=0" in sweep.words[-1]

@@ -238,6 +238,7 @@ def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, wor
         ("learner.validation=null", "leave it out"),
         ("data.fold=[0,3]", "leave it out"),
         ("data.monitor=test", "leave it out"),
+        ("start_from=outputs/mine/best", "leave it out"),
     ],
 )
 def test_choices_that_do_not_suit_a_search_are_named_with_those_that_do(

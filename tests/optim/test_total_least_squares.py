@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 import torch
 from torch import nn
+from torch.nn.utils import parameters_to_vector
 
 from benchmarks.machines import RandomMachine
 from symo_exp.data.recorded import RecordedData, recorded_system
@@ -284,6 +285,20 @@ def test_late_parameters_are_zero_until_their_stage():
     assert seen == [False] * (2 * 2 + 2 * 2) + [True] * 2
 
 
+def test_without_starts_training_continues_from_the_given_parameters():
+    """All of them move from the first epoch on, and none is reset."""
+    trajectories = lengths(20, 20, n=1, noise=1e-3)
+    model = symo(1, dissipation=friction(width=3))
+    _, found = train(model, trajectories, epsilons=(0.3,), start=5, epochs=15, warm_up=5)
+    net = parameters_to_vector(model.dissipation.net.parameters()).detach()
+    again, more = train(model, trajectories, epsilons=(0.3,), starts=0, epochs=5)
+    assert len(more) == again.total_epochs == 5
+    losses = [[float(x["train_loss"]) for x in one] for one in (found, more)]
+    assert max(losses[1]) < 0.1 * losses[0][0]
+    assert losses[1][-1] < 10.0 * losses[0][-1]
+    assert not torch.equal(parameters_to_vector(model.dissipation.net.parameters()), net)
+
+
 def test_a_resumed_training_ends_with_the_same_bits():
     trajectories = lengths(6, 7, n=1, noise=1e-3)
     settings = {"epsilons": (1.0, 0.3), "start": 2, "epochs": 2, "warm_up": 5}
@@ -381,6 +396,7 @@ def test_a_matrix_that_cannot_be_factored_is_a_rejected_trial(f, caplog, recwarn
 BAD = (
     {"epsilons": (1.0, 0.0)},
     {"start": 0},
+    {"starts": -1},
     {"velocity_weight": -1},
     {"input_weight": -1},
     {"tolerance": -1},

@@ -15,6 +15,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.runs.folder import CHECKPOINT, POSTERIOR, PREVIOUS, About, RunFolder
 from symo_exp.runs.instances import arguments_of, instance_of
+from symo_exp.runs.load import copy_weights
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.training.learner import Learner
@@ -219,6 +220,27 @@ def test_settings_that_another_version_has_are_named(folder, part):
 
 def test_weights_of_another_shape_are_refused(folder):
     assert "does not fit" in edited(folder, lambda c: c["model"]["lagrangian"].update(width=9))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_weights_are_copied_to_another_model_in_its_own_precision(dtype, folder):
+    trained = made(folder, config())
+    system = instance_of(SYSTEMS["pendulum"])
+    other = instance_of(MODELS["symo"], **arguments_of(system)).to(dtype)
+    copy_weights(other, folder)
+    for one, copied in zip(trained.parameters(), other.parameters(), strict=True):
+        assert copied.dtype == dtype
+        torch.testing.assert_close(copied, one.to(dtype), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(("model", "system"), [("node", "pendulum"), ("symo", "acrobot")])
+def test_weights_of_another_model_are_not_copied(model, system, folder):
+    made(folder, config())
+    other = instance_of(MODELS[model], **arguments_of(instance_of(SYSTEMS[system])))
+    before = [p.detach().clone() for p in other.parameters()]
+    with pytest.raises(ConfigError, match="is a run of a model with other parameters"):
+        copy_weights(other, folder)
+    assert all(torch.equal(p, q) for p, q in zip(other.parameters(), before, strict=True))
 
 
 def test_a_model_that_is_not_learned_needs_no_weights(folder):

@@ -39,6 +39,10 @@ class Candidate:
         """Whether fits from different seeds end at different minima."""
         return self.starts > 1 or self.drawn
 
+    def continued(self) -> Candidate:
+        """Return the candidate as it is trained from trained parameters: without starts."""
+        return replace(self, starts=0, forces=0)
+
     def cost_of_epoch(self, n: int) -> float:
         """Return the cost of an epoch with so many coordinates."""
         return self.cost * max(1.0, n / FEW) ** self.growth

@@ -55,12 +55,9 @@ class Effort:
 
     def total(self, candidate: Candidate) -> int:
         """Return the epochs of a training."""
-        late = LATE * (candidate.settings.get("dissipation") == "learned")
-        return self.begun(candidate) + (EPSILONS + late) * self.epochs
-
-    def begun(self, candidate: Candidate) -> int:
-        """Return the epochs of a training with smoothed nodes."""
-        return candidate.forces + candidate.starts * self.epochs
+        late = candidate.settings.get("dissipation") == "learned" and candidate.starts > 0
+        stages = candidate.starts + EPSILONS + LATE * late
+        return candidate.forces + stages * self.epochs
 
     def between(self, candidate: Candidate) -> int:
         """Return the epochs between validations."""
@@ -71,7 +68,7 @@ class Effort:
         n = machine.coordinates.n
         epoch = candidate.cost_of_epoch(n) * (EPOCH + NODE * n**2 * nodes)
         epoch *= DRIVEN if machine.driven else 1.0
-        return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
+        return STARTING + WARM_UP * max(0, candidate.starts - 1) + epoch * self.total(candidate)
 
     def validation(self, candidate: Candidate, machine: Machine) -> float:
         """Return the time of the validations of a training on the reference machine [s].

@@ -10,10 +10,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from symo_exp.data.folds import POOLED
 from symo_exp.errors import ConfigError
 from symo_exp.identify.candidates import Candidate, left_open
-from symo_exp.identify.plan import MOST_FITS, Plan
+from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine
 from symo_exp.identify.validation import NOISY, noise_of_fit
 from symo_exp.runs.folder import RunFolder
+from symo_exp.shell import override_value
 from symo_exp.sweep.sweeper import Sweep
 
 ITERATIONS = 5
@@ -26,7 +27,7 @@ COMPARED = ("logger=none", "pictures=false", "measures=false")
 
 @dataclass(frozen=True)
 class Fits:
-    """The fits of a search. Attempts at the same fit differ in their seeds.
+    """The fits of a search. Attempts at the same fold differ in their seeds.
 
     Args:
         sweep: Performs the runs.
@@ -71,40 +72,44 @@ class Fits:
         found = self.sweep.perform(words, names)
         return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
 
-    def last(self, candidate: Candidate, epochs: int, noise: float) -> dict[int, RunFolder]:
-        """Return fits of the chosen candidate to all data, by their attempts.
+    def last(
+        self, candidate: Candidate, epochs: int, folds: Sequence[RunFolder]
+    ) -> list[tuple[RunFolder, RunFolder]]:
+        """Return folds of the chosen candidate and the fits to all data that start from these.
 
-        There are more attempts if all end with far more than the ``noise`` of the quietest fold.
+        They are the quietest folds, one for each core, or all if those fits end with far more noise
+        than the quietest fold.
 
         Raises:
             ConfigError: If the candidate is refused.
         """
-        first = self.plan.last_fits(candidate, self.machine)
-        found = self.to_all(candidate, epochs, range(first))
-        if min(map(noise_of_fit, found.values())) > NOISY * noise:
-            found |= self.to_all(candidate, epochs, range(first, MOST_FITS))
-        return found
+        quietest = sorted(folds, key=noise_of_fit)
+        first = self.to_all(candidate, epochs, quietest[: self.plan.cores])
+        rest = quietest[self.plan.cores :]
+        if min(noise_of_fit(fit) for _, fit in first) <= NOISY * noise_of_fit(quietest[0]):
+            rest = []
+        return [*first, *self.to_all(candidate, epochs, rest)]
 
     def to_all(
-        self, candidate: Candidate, epochs: int, attempts: Sequence[int]
-    ) -> dict[int, RunFolder]:
-        """Fit a candidate to the training and the validation part in each of some attempts.
+        self, candidate: Candidate, epochs: int, starts: Sequence[RunFolder]
+    ) -> list[tuple[RunFolder, RunFolder]]:
+        """Fit a candidate to the training and the validation part from the parameters of runs.
 
         Raises:
             ConfigError: If the candidate is refused.
         """
-        words = [self._overrides_of_last(candidate, epochs, k, *COMPARED) for k in attempts]
-        names = [f"{candidate.name}, fit {attempt + 1}" for attempt in attempts]
-        return dict(zip(attempts, self._performed(words, names), strict=True))
+        words = [self._overrides_of_last(candidate, epochs, start, *COMPARED) for start in starts]
+        names = [f"{candidate.name}, last fit"] * len(starts)
+        return list(zip(starts, self._performed(words, names), strict=True))
 
-    def test(self, candidate: Candidate, epochs: int, attempt: int) -> None:
+    def test(self, candidate: Candidate, epochs: int, start: RunFolder) -> None:
         """Measure a fit to all data on the test part, draw pictures of it and publish it.
 
         Raises:
             ConfigError: If the candidate is refused.
         """
         shown = "pictures=true", "measures=true"
-        words = self._overrides_of_last(candidate, epochs, attempt, *shown)
+        words = self._overrides_of_last(candidate, epochs, start, *shown)
         # resume=false is for the fits; this one has just been made
         self._performed([[*words, "resume=true"]], [candidate.name])
 
@@ -118,31 +123,35 @@ class Fits:
 
     def _overrides_of_fold(self, candidate: Candidate, k: int, attempt: int = 0) -> list[str]:
         seconds = self.plan.seconds
-        more = f"data.fold=[{k},{self.plan.folds}]", f"data.seconds={seconds:g}", *COMPARED
-        return self._overrides(candidate, seconds, attempt, *more)
+        more = [f"data.fold=[{k},{self.plan.folds}]", f"data.seconds={seconds:g}", *COMPARED]
+        forced = {"seed": f"seed={self.seed + SEEDS * attempt}"} if attempt else {}
+        return self._overrides(candidate, seconds, more, forced)
 
     def _overrides_of_last(
-        self, candidate: Candidate, epochs: int, attempt: int, *more: str
+        self, candidate: Candidate, epochs: int, start: RunFolder, *more: str
     ) -> list[str]:
         """Return the overrides of a fit to all data, or to as many as there is time for."""
         seconds = self.plan.most_seconds(candidate, self.machine)
         if seconds < self.machine.seconds:
             more = (*more, f"data.seconds={seconds:g}")
-        return self._overrides(
-            candidate,
-            seconds,
-            attempt,
+        settings = [
             f"data.fold={POOLED}",
             f"trainer.max_epochs={epochs}",
             f"trainer.validate_every={epochs}",  # once: nothing is held out
             "optimizer.tolerance=1e9",  # so that the last parameters are kept
             *more,
-        )
+        ]
+        trained = f"start_from={override_value(str(start))}"
+        forced = by_key([trained, "optimizer.starts=0", "optimizer.force_epochs=0"])
+        return self._overrides(candidate.continued(), seconds, settings, forced)
 
     def _overrides(
-        self, candidate: Candidate, seconds: float, attempt: int, *more: str
+        self, candidate: Candidate, seconds: float, more: Sequence[str], forced: Mapping[str, str]
     ) -> list[str]:
-        """Return the overrides of a fit to data of a length, those of the command line last."""
+        """Return the overrides of a fit to data of a length.
+
+        Those of the command line replace others, and are replaced by ``forced`` ones.
+        """
         settings = by_key(
             [
                 *self.machine.settings,
@@ -157,9 +166,7 @@ class Fits:
         )
         if candidate.settings["dissipation"] == "none":
             settings = left_open(settings, ["dissipation"]) | {"dissipation": "dissipation=none"}
-        found = {**left_open(settings, self.given), **self.given}
-        if attempt:
-            found["seed"] = f"seed={self.seed + SEEDS * attempt}"
+        found = {**left_open(settings, self.given), **self.given, **forced}
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
 
     def _limit(self, candidate: Candidate, seconds: float) -> str:

@@ -30,8 +30,6 @@ PROMOTED, VARIED = 3, 2.0
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
 """Of a cheap candidate with any budget: one has finer steps, unless springs show."""
-FEWEST_FITS, MOST_FITS = 2, 4
-"""Last fits of a candidate with several starts."""
 DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
@@ -86,51 +84,27 @@ class Plan:
         return self.effort.expected(candidate, nodes, machine) / self.speed
 
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
-        """Return the length of data that a candidate can be fitted to in its time [s]."""
-        nodes, work = machine.nodes, self._refitting / self._rounds(candidate, machine)
-        fixed = self.effort.training(candidate, 0, machine)  # does not depend on the nodes
+        """Return the length of data that the last fit of a candidate has time for [s]."""
+        nodes, work = machine.nodes, REFITTING * self.budget * self.speed
+        last = candidate.continued()
+        fixed = self.effort.training(last, 0, machine)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
-            nodes > MOST_NODES or self.effort.training(candidate, nodes, machine) - fixed > work
+            nodes > MOST_NODES or self.effort.training(last, nodes, machine) - fixed > work
         ):
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
     def search_time(self, candidate: Candidate, machine: Machine, pace: float) -> float:
-        """Return the planned time of all runs before the last fits, one after another [s].
+        """Return the planned time of all runs before the last fit, one after another [s].
 
         Args:
-            candidate: The one of the last fits.
+            candidate: The one of the last fit.
             machine: The recorded machine.
             pace: How many times longer than planned runs take.
         """
         nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
-        fit = self.effort.training(candidate, nodes, machine) / self.speed
-        last = self._rounds(candidate, machine) * fit
+        last = self.effort.training(candidate.continued(), nodes, machine) / self.speed
         return self.cores * (max(self.budget, self.needed) / pace - last)
-
-    def last_fits(self, candidate: Candidate, machine: Machine) -> int:
-        """Return how many fits to all data a chosen candidate has, from different seeds.
-
-        Candidates whose starts are drawn have several minima, and the start with the smallest
-        residuals does not always lead to the deepest one. There are ``MOST_FITS`` if there is time
-        for these, else one for each core, at least ``FEWEST_FITS``.
-        """
-        if not candidate.has_minima:
-            return 1
-        rounds = math.ceil(MOST_FITS / self.cores)
-        every = rounds * self.effort.training(candidate, machine.nodes, machine)
-        if machine.nodes <= MOST_NODES and every <= self._refitting:
-            return MOST_FITS
-        return min(max(FEWEST_FITS, self.cores), MOST_FITS)
-
-    @property
-    def _refitting(self) -> float:
-        """The time of all rounds of last fits on the reference machine [s]."""
-        return REFITTING * self.budget * self.speed
-
-    def _rounds(self, candidate: Candidate, machine: Machine) -> int:
-        """Return in how many rounds the last fits are done, side by side."""
-        return math.ceil(self.last_fits(candidate, machine) / self.cores)
 
     def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""

@@ -30,8 +30,12 @@ NEEDED = {
     "optimizer": ("optimizer.starts", "estimates the noise of recordings in stages"),
 }
 """By group: a setting that its choice has to have, and why."""
-OWN = {"data.monitor": "val", "data.fold": None}
-"""Settings of a search that cannot have other values."""
+OWN = {
+    "data.monitor": ("val", "holds out folds itself"),
+    "data.fold": (None, "holds out folds itself"),
+    "start_from": (None, "compares models that are trained anew"),
+}
+"""Settings of a search that cannot have other values, with these and the reason."""
 
 
 class Request:
@@ -52,9 +56,9 @@ class Request:
             above, _, setting = name.rpartition(".")
             if setting not in list(OmegaConf.select(master, above) or ()):
                 raise self._unsuitable(name, group, reason)
-        for name, value in OWN.items():
+        for name, (value, reason) in OWN.items():
             if OmegaConf.select(master, name) != value:
-                raise self._unsuitable(name, "data", "holds out folds itself")
+                raise self._unsuitable(name, "data", reason)
 
     def machine(self) -> Machine:
         """Read the recordings and return the machine that they show.
@@ -106,7 +110,7 @@ class Request:
     def _unsuitable(self, name: str, group: str, reason: str) -> ConfigError:
         """Return the error of the word of the command line that decides a setting."""
         parts = name.split(".")
-        above = [".".join(parts[:end]) for end in range(len(parts), 1, -1)]
+        above = [".".join(parts[:end]) for end in range(len(parts), 0, -1)]
         chosen = f"{group}={self._master.hydra.runtime.choices[group]}"
         words = [self._given[key] for key in (*above, group, "preset") if key in self._given]
         word = next(iter(words), chosen)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -34,12 +33,12 @@ from symo_exp.identify.structures import ladder
 from symo_exp.identify.trials import Trials
 from symo_exp.identify.validation import (
     Trial,
-    latest_stage,
+    epochs_of_last_fit,
     noise_of_fit,
     with_least_noise,
 )
 from symo_exp.process import phases
-from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.folder import SERIES
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
 from symo_exp.words import counted
@@ -131,16 +130,16 @@ class Search:
         """Fit the chosen candidate to all data, test it and print what was found."""
         plan, machine = self._plan, self._machine
         folds = list(best.folders.values())
-        epochs = self._last_epoch(best.candidate, folds)
+        epochs = epochs_of_last_fit(folds)
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
-        last = fits.last(best.candidate, epochs, min(best.noises().values()))
-        folder = with_least_noise(list(last.values()))
+        last = fits.last(best.candidate, epochs, folds)
+        folder = with_least_noise([fit for _, fit in last])
         if folder.outcome().status == "finished":  # it alone is tested
             folder.write_folds(folds)  # their errors widen its intervals
-            attempt = next(k for k, fit in last.items() if fit is folder)
-            fits.test(best.candidate, epochs, attempt)
+            start = next(fold for fold, fit in last if fit is folder)
+            fits.test(best.candidate, epochs, start)
         answer.summarise(trials, best)
         if folder.outcome().status != "finished":
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
@@ -198,17 +197,6 @@ class Search:
             f"({100 * share:.0f} %), {counted(plan.effort.epochs, 'epoch')} a stage, "
             f"{counted(plan.cores, 'run')} at a time, {time}"
         )
-
-    def _last_epoch(self, candidate: Candidate, folds: Sequence[RunFolder]) -> int:
-        """Return the epochs of the last stage that no other one surpasses in the folds."""
-        each = self._plan.effort.epochs
-        begun = self._plan.effort.begun(candidate)
-        losses = []
-        for fold in folds:
-            ends = [(r["epoch"] + 1 - begun, r["val_loss"]) for r in read(fold / SERIES)
-                    if "val_loss" in r]  # fmt: skip
-            losses.append({math.ceil(end / each): loss for end, loss in ends if end > 0})
-        return begun + each * latest_stage(losses)
 
     @property
     def _experiment(self) -> str:

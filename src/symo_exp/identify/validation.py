@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.evaluation.recordings import held_out_error
@@ -101,8 +101,13 @@ def noisy_folds(noises: Mapping[int, float]) -> list[int]:
 def ran_out_of_time(fit: RunFolder) -> bool:
     """Return whether a training ended before the last stage that trainings of its settings have."""
     optimizer = OmegaConf.load(fit / CONFIG).optimizer
-    begun = optimizer.force_epochs + optimizer.starts * optimizer.start
-    return len(read(fit / SERIES)) < begun + len(optimizer.epsilons) * optimizer.epochs
+    stages = len(optimizer.epsilons)
+    return len(read(fit / SERIES)) < _begun(optimizer) + stages * optimizer.epochs
+
+
+def _begun(optimizer: DictConfig) -> int:
+    """Return the epochs of a training before its first epsilon."""
+    return int(optimizer.force_epochs + optimizer.starts * optimizer.start)
 
 
 def fold_error(folder: RunFolder) -> float:
@@ -125,6 +130,24 @@ def baseline_error(folder: RunFolder) -> float:
         units=system.coordinates.sizes,
         horizons=OmegaConf.select(config, "learner.validation.horizons", default=HORIZONS),
     )
+
+
+def epochs_of_last_fit(folds: Sequence[RunFolder]) -> int:
+    """Return the epochs from a trained fold to the last stage that no other one surpasses.
+
+    Of the second round of stages, in which friction is learned as well, it has those up to the same
+    epsilon once.
+    """
+    optimizer = OmegaConf.load(folds[0] / CONFIG).optimizer
+    begun, each, epsilons = _begun(optimizer), optimizer.epochs, optimizer.epsilons
+    losses = []
+    for fold in folds:
+        ends = [(row["epoch"] + 1 - begun, row["val_loss"]) for row in read(fold / SERIES)
+                if "val_loss" in row]  # fmt: skip
+        losses.append({math.ceil(end / each): loss for end, loss in ends if end > 0})
+    stage = latest_stage(losses)
+    again = sum(epsilon <= optimizer.late_from for epsilon in epsilons)
+    return int(each * (stage if stage <= len(epsilons) else stage - again))
 
 
 def latest_stage(losses: Sequence[Mapping[int, float]]) -> int:

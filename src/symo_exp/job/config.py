@@ -14,7 +14,7 @@ from symo_exp.runs.digest import INCIDENTAL, digest
 
 PARTS = "system", "data", "model", "learner", "trainer", "logger"
 """The groups whose classes a run instantiates."""
-_ROOTS = {*PARTS, *INCIDENTAL, "seed", "dtype"}
+_ROOTS = {*PARTS, *INCIDENTAL, "seed", "dtype", "start_from"}
 """Settings that the program reads; others have an effect where one of these refers to them."""
 
 

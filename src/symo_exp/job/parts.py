@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning
@@ -22,6 +23,7 @@ from symo_exp.optim.base import EpochOptimizer
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import CHECKPOINTS, SERIES, RunFolder
 from symo_exp.runs.instances import arguments_of, instance_of
+from symo_exp.runs.load import copy_weights
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
 from symo_exp.systems.box import SamplingBox
@@ -81,6 +83,11 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
         raise ConfigError(
             f"{type(model).__name__}.__init__ does not call super().__init__(flow, coordinates=...)"
         )
+    if model.learns and (start := settings["start_from"]) is not None:
+        try:
+            copy_weights(model, Path(str(start)).expanduser())
+        except ConfigError as error:
+            raise ConfigError(f"start_from: {error}") from error
     learner = make(settings, "learner", model=model) if model.learns else None
     reference = _reference(settings, system, data) if "reference" in settings else None
     for name in settings["study"]:
@@ -89,7 +96,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
-    idle: Collection[str] = ["learner"]
+    idle: Collection[str] = ["learner", "start_from"]
     if learner is not None:
         check_objective(learner.objective, model)
         optimizer = _optimizer(learner, settings["trainer"].get("accelerator", "cpu"))

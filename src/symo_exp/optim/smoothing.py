@@ -106,6 +106,12 @@ class SmoothingObjective:
             misfit = moved + r.square().sum() / self.epsilon**2
         return float(misfit.nan_to_num(nan=math.inf, posinf=math.inf))
 
+    def noise(self, x: Float[Tensor, "nodes d"]) -> float:
+        """Return ``σ² = χ²/M`` at nodes ``x``, one if it is not a number."""
+        r = self.residuals(x)
+        noise = self.misfit(x, r) / r.numel()
+        return noise if math.isfinite(noise) else 1.0
+
     def update_priors(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> bool:
         """Update noise ``σ² = χ²/(M − γ)`` and priors from the evidence.
 

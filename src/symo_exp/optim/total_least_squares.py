@@ -69,7 +69,7 @@ class TotalLeastSquares(EpochOptimizer):
     Args:
         params: The parameters, float64.
         epsilons: Values of ``ε``.
-        starts: Number of starts.
+        starts: Number of starts; 0: parameters are trained ones and all move in each stage.
         start: Epochs of a start.
         force_epochs: Epochs before the first start in which residuals are forces.
         epochs: Epochs of an ``ε``.
@@ -105,7 +105,7 @@ class TotalLeastSquares(EpochOptimizer):
     ) -> None:
         super().__init__(params, patience=10**9, tolerance=tolerance)
         self.require_normal_equations()
-        whole_number("optimizer.starts", starts, high=MOST_STARTS)
+        whole_number("optimizer.starts", starts, low=0, high=MOST_STARTS)
         for name, value in (("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
         self.force_epochs = whole_number("optimizer.force_epochs", force_epochs, low=0)
@@ -123,7 +123,9 @@ class TotalLeastSquares(EpochOptimizer):
         self.velocity_weight, self.input_weight = velocity_weight, input_weight
         late = any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]
-        rounds = [Stage(e) for e in epsilons]
+        trained = starts == 0
+        rounds = [Stage(e, late=trained) for e in epsilons]
+        late = late and not trained
         again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
         self.stages = [*begins, *rounds, *again]
         self._starts = starts
@@ -169,7 +171,8 @@ class TotalLeastSquares(EpochOptimizer):
                 window = model.residuals(first.windows(*first.stencil(memory["nodes"])))
             self.require_memory(len(chain.centre) * window.shape[1], copies=4)
             memory["damping"] = damping
-            self._set_late(to_start=False)
+            if self._starts:
+                self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
         elif before != stage:
             if before.epsilon is None:
@@ -191,9 +194,12 @@ class TotalLeastSquares(EpochOptimizer):
             if epoch < self.force_epochs:
                 windows = chain.windows(*chain.stencil(memory["nodes"]))
                 equations = model.as_forces(windows) or model
-            metrics, ended = smoothing_step(
-                SmoothingObjective(self, equations, chain, weight, stage.epsilon, late=stage.late)
+            objective = SmoothingObjective(
+                self, equations, chain, weight, stage.epsilon, late=stage.late
             )
+            if before is None and not self._starts:
+                memory["noise"] = objective.noise(memory["nodes"])
+            metrics, ended = smoothing_step(objective)
             memory["loss"] = metrics["train_loss"]
             if ended:
                 memory["ended"] = metrics
@@ -234,6 +240,8 @@ class TotalLeastSquares(EpochOptimizer):
     def _first_damping(self, trajectories: Sequence[Trajectory]) -> float:
         if self.damping is not None:
             return self.damping
+        if not self._starts:
+            return FREE
         return DRIVEN if any(bool(one.u.any()) for one in trajectories) else FREE
 
     def _untrained(self) -> dict[str, Any]:

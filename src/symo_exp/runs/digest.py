@@ -29,6 +29,7 @@ def kernels(settings: Mapping[str, Any]) -> str:
     """Return a digest of what a compiled training step depends on, sizes of batches apart."""
     groups = {
         "seed", "data", "draws", "optimizer", "scheduler", "learning_rate", "learner", "trainer",
+        "start_from",
     }  # fmt: skip
     return digest({key: value for key, value in settings.items() if key not in groups})
 

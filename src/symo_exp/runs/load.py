@@ -58,6 +58,25 @@ def from_folder(
     return model.eval()
 
 
+def copy_weights(model: DynamicsModel, folder: Path) -> None:
+    """Give a model the weights of a run, in the model's own precision.
+
+    Args:
+        model: The model.
+        folder: Folder of the run, whose model has parameters of the same names and shapes.
+    """
+    require_run(folder)
+    weights, own = before.model_weights(_read_weights(folder)), model.state_dict()
+    for name in sorted(weights.keys() | own.keys()):
+        there, here = (tuple(x[name].shape) if name in x else "missing" for x in (weights, own))
+        if there != here:
+            raise ConfigError(
+                f"{folder} is a run of a model with other parameters: {name} is {there} there and "
+                f"{here} here; give the settings of its model"
+            )
+    model.load_state_dict(weights)
+
+
 def divided_recordings(run: RunFolder) -> Splits:
     """Return the recordings of a run, divided as its configuration says."""
     config = run.config()
