@@ -279,19 +279,21 @@ def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(
     assert ("further candidates, since none so far suits" in said) == (chosen == "relative")
 
 
-@pytest.mark.parametrize("halved", [True, False])
+@pytest.mark.parametrize("enough", ["half the step", "order 4", "both"])
 @pytest.mark.parametrize("driven", [True, False])
 def test_finer_integrations_precede_candidates_that_a_plan_left_out(
-    driven, halved, prepared, capsys
+    driven, enough, prepared, capsys
 ):
     """Networks also represent errors of the integrator, and would be chosen for that."""
 
     def told(settings):
-        fine = "system.time_step" in settings if halved else settings["integrator"] != "midpoint"
-        return (5.0 if fine else 100.0 if settings["lagrangian"] == "planar" else 10.0), 1e-3
+        fine = "system.time_step" in settings, settings["integrator"] == "galerkin4"
+        done = {"half the step": fine[0], "order 4": fine[1], "both": all(fine)}[enough]
+        rigid = 50.0 if any(fine) else 100.0
+        return (5.0 if done else rigid if settings["lagrangian"] == "planar" else 10.0), 1e-3
 
     one = machine(2, 60.0, driven=driven)
-    search, _, plan = prepared(told, one, budget=60.0)
+    search, _, plan = prepared(told, one, budget=100.0)
     planned, others = ([c for c in ladder(one) if (c.name in plan.names) == x] for x in (1, 0))
     search.screen(planned)
     search.deepen(others)

@@ -68,17 +68,20 @@ class Rounds:
     def deepen(self, candidates: Sequence[Candidate]) -> None:
         """Try candidates that the plan left out, if those that it has do not suit the machine.
 
-        Before, the best one is integrated more finely: the integrator may be all that does not
-        suit, and the candidates left out include networks, which also represent its errors.
+        Before, the best one is integrated more finely, as long as that helps: the integrator may be
+        all that does not suit, and the candidates left out include networks, which also represent
+        its errors.
         """
-        best = self._unsuitable() if candidates else None
+        coarse, best = None, self._unsuitable() if candidates else None
+        while best is not None and best is not coarse:
+            coarse = best
+            fine = finer(coarse.candidate, self._machine)
+            for one in distinct_candidates(fine, self._given, self.trials.candidates):
+                self._promote(self.trials.affordable([one], coarse), coarse)
+                if (best := self._unsuitable()) is None:
+                    return
         if best is None:
             return
-        fine = finer(best.candidate, self._machine)
-        for one in distinct_candidates(fine, self._given, self.trials.candidates):
-            self._promote(self.trials.affordable([one], best), best)
-            if (best := self._unsuitable()) is None:
-                return
         if further := self.trials.affordable(candidates, best):
             print("further candidates, since none so far suits the machine", flush=True)
         self._promote(further, best)
