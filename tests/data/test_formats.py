@@ -670,7 +670,8 @@ def test_positions_that_a_slow_sensor_repeats_are_left_out(rows, shown, tmp_path
     assert len(one.samples.q) == shown
     assert any("repeats its positions" in note for note in found.notes) == (shown < 900)
     at = np.round(one.samples.t / 0.01).astype(int)
-    assert np.array_equal(one.samples.q[:, 0], place[at])
+    # that far the CSV reader of pandas 2 rounds
+    assert one.samples.q[:, 0] == pytest.approx(place[at], rel=0.0, abs=1e-15)
     if shown == 180:
         assert one.samples.u[1:-1] == pytest.approx(0.2)  # the mean of the five around each
 

@@ -126,7 +126,7 @@ def _check_value(name: str, value: Any, hint: Any) -> None:
 
 def _wanted(kind: str, place: tuple[int | str, ...], message: str) -> str:
     """Return what one of Pydantic's errors asks for."""
-    if kind == "missing":
+    if kind in ("missing", "missing_argument"):  # the latter of named tuples, in Pydantic 2.10
         return f"{place[-1]} as well"
     return _WANTED.get(kind, message.removeprefix("Input should be "))
 
