@@ -16,7 +16,7 @@ from tests.tiny import TINY
 
 pytestmark = pytest.mark.server
 
-EPOCHS = 1500
+EPOCHS = 6000  # for longer than all eight jobs need to start
 WORDS = [
     *TINY, "model=node", f"trainer.max_epochs={EPOCHS}", "trainer.validate_every=20",
     "trainer.compile=false", "pictures=false", "logger.flush_seconds=0.5",
