@@ -51,7 +51,7 @@ NOT_RUN = {
 SHORT = [
     # epochs; of simulated data: trajectories and steps of rollouts; of searches: trials
     (r"-m symo_exp (?!record)(?!.*-cn machine)", "trainer.max_epochs=2 trainer.validate_every=1"),
-    (r"-m symo_exp (?!record)(?!.*(data=recorded|-cn machine|draws=published|preset=thesis))",
+    (r"-m symo_exp (?!record)(?!.*(data=(?!simulated)|-cn machine|draws=published|preset=thesis))",
      "data.n_traj=8 data.n_train_max=8 data.n_val=4 data.n_test=4 data.n_integration=2 "
      "data.integration_steps=30 data.monitor_trajectories=null"),
     (r"-cn search|hydra/sweeper=optuna", "hydra.sweeper.n_trials=2"),
