@@ -394,8 +394,7 @@ def test_last_fits_start_from_the_quietest_folds(noise, everywhere, cores, tmp_p
     plan = plans.make_plan(one, ladder(one), 600.0, cores, 1.0, "key")
     folds = [sweep.fit(f"fold {k}", x) for k, x in enumerate((2e-3, 9e-3, 1e-3, 4e-3))]
     fits = Fits(sweep, one, plan, {"optimizer.starts": "optimizer.starts=6"}, "mine", 0, False)
-    found = fits.last(ladder(one)[0], 9, folds)
-    starts = [start for start, _ in found]
+    starts = list(fits.last(ladder(one)[0], 9, folds).values())
     quietest = [folds[k] for k in (2, 0, 3, 1)]
     assert starts == (quietest if everywhere else quietest[:cores])
     assert f"start_from={override_value(str(starts[-1]))}" in sweep.words[-1]

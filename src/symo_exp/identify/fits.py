@@ -74,33 +74,32 @@ class Fits:
 
     def last(
         self, candidate: Candidate, epochs: int, folds: Sequence[RunFolder]
-    ) -> list[tuple[RunFolder, RunFolder]]:
-        """Return folds of the chosen candidate and the fits to all data that start from these.
+    ) -> dict[RunFolder, RunFolder]:
+        """Return fits of the chosen candidate to all data, with the folds that they start from.
 
-        They are the quietest folds, one for each core, or all if those fits end with far more noise
-        than the quietest fold.
+        These are the quietest folds, one for each core, or all if the fits from those end with far
+        more noise than the quietest fold.
 
         Raises:
             ConfigError: If the candidate is refused.
         """
         quietest = sorted(folds, key=noise_of_fit)
-        first = self.to_all(candidate, epochs, quietest[: self.plan.cores])
-        rest = quietest[self.plan.cores :]
-        if min(noise_of_fit(fit) for _, fit in first) <= NOISY * noise_of_fit(quietest[0]):
-            rest = []
-        return [*first, *self.to_all(candidate, epochs, rest)]
+        found = self.to_all(candidate, epochs, quietest[: self.plan.cores])
+        if min(map(noise_of_fit, found)) > NOISY * noise_of_fit(quietest[0]):
+            found |= self.to_all(candidate, epochs, quietest[self.plan.cores :])
+        return found
 
     def to_all(
         self, candidate: Candidate, epochs: int, starts: Sequence[RunFolder]
-    ) -> list[tuple[RunFolder, RunFolder]]:
-        """Fit a candidate to the training and the validation part from the parameters of runs.
+    ) -> dict[RunFolder, RunFolder]:
+        """Return fits to the training and the validation part, with the runs that they start from.
 
         Raises:
             ConfigError: If the candidate is refused.
         """
         words = [self._overrides_of_last(candidate, epochs, start, *COMPARED) for start in starts]
         names = [f"{candidate.name}, last fit"] * len(starts)
-        return list(zip(starts, self._performed(words, names), strict=True))
+        return dict(zip(self._performed(words, names), starts, strict=True))
 
     def test(self, candidate: Candidate, epochs: int, start: RunFolder) -> None:
         """Measure a fit to all data on the test part, draw pictures of it and publish it.

@@ -135,11 +135,10 @@ class Search:
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
         last = fits.last(best.candidate, epochs, folds)
-        folder = with_least_noise([fit for _, fit in last])
+        folder = with_least_noise(list(last))
         if folder.outcome().status == "finished":  # it alone is tested
             folder.write_folds(folds)  # their errors widen its intervals
-            start = next(fold for fold, fit in last if fit is folder)
-            fits.test(best.candidate, epochs, start)
+            fits.test(best.candidate, epochs, last[folder])
         answer.summarise(trials, best)
         if folder.outcome().status != "finished":
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")

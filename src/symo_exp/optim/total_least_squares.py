@@ -121,11 +121,9 @@ class TotalLeastSquares(EpochOptimizer):
         self.warm_up = whole_number("optimizer.warm_up", warm_up, low=0)
         self.seed = whole_number("optimizer.seed", seed, low=0, high=2**32 - 1)
         self.velocity_weight, self.input_weight = velocity_weight, input_weight
-        late = any(map(is_late, self.parameters))
+        late = starts > 0 and any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]
-        trained = starts == 0
-        rounds = [Stage(e, late=trained) for e in epsilons]
-        late = late and not trained
+        rounds = [Stage(e, late=starts == 0) for e in epsilons]
         again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
         self.stages = [*begins, *rounds, *again]
         self._starts = starts

@@ -66,14 +66,12 @@ def copy_weights(model: DynamicsModel, folder: Path) -> None:
         folder: Folder of the run, whose model has parameters of the same names and shapes.
     """
     require_run(folder)
-    weights, own = before.model_weights(_read_weights(folder)), model.state_dict()
-    for name in sorted(weights.keys() | own.keys()):
-        there, here = (tuple(x[name].shape) if name in x else "missing" for x in (weights, own))
-        if there != here:
-            raise ConfigError(
-                f"{folder} is a run of a model with other parameters: {name} is {there} there and "
-                f"{here} here; give the settings of its model"
-            )
+    weights = before.model_weights(_read_weights(folder))
+    if misfit := _misfit(weights, model):
+        raise ConfigError(
+            f"{folder} is a run of a model with other parameters: {misfit}; give the settings of "
+            "its model"
+        )
     model.load_state_dict(weights)
 
 
@@ -115,13 +113,20 @@ def _built(
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
     weights = before.model_weights(_read_weights(folder))
+    if misfit := _misfit(weights, model):
+        raise ConfigError(f"the checkpoint in {folder} does not fit its config.yaml: {misfit}")
     model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
-    try:
-        model.load_state_dict(weights)
-    except RuntimeError as error:
-        raise ConfigError(
-            f"the checkpoint in {folder} does not fit its config.yaml: {shortened(error)}"
-        ) from None
+    model.load_state_dict(weights)
+
+
+def _misfit(weights: Mapping[str, torch.Tensor], model: DynamicsModel) -> str:
+    """Return the first parameter that stored weights have otherwise than a model, in words."""
+    own = model.state_dict()
+    for name in sorted(weights.keys() | own.keys()):
+        there, here = (tuple(x[name].shape) if name in x else "missing" for x in (weights, own))
+        if there != here:
+            return f"{name} is {there} there and {here} here"
+    return ""
 
 
 def _read_config(path: Path) -> Mapping[str, Any]:
